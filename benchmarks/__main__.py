@@ -1,4 +1,4 @@
-"""Run the benchmark groups and keep the figures with machine, versions and command in ``benchmarks/results/``."""
+"""Command ``python -m benchmarks``, which runs benchmark groups and stores their figures in ``benchmarks/results/``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GROUPS = sorted(p.stem for p in FOLDER.glob("[a-z]*.py"))
 
 
 def main(arguments: list[str]) -> int:
-    """Runs the groups named in ``arguments`` (all when none is); ``render`` is also ``render_h2h`` and so on."""
+    """Run the groups named in ``arguments`` (all when none is); ``render`` is also ``render_h2h`` and so on."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"any of: {', '.join(GROUPS)} (default: all)")
     parser.add_argument(

@@ -54,15 +54,15 @@ OTHERS = (
     Stop("sofa_0", "read", 6.0),
     Stop("bed_0", "rest", 6.0),
 )
-"""What people do beside the chores of `benchmarks.chores`, near each other."""
+"""Activities in addition to the chores of `benchmarks.chores`, near each other."""
 SECONDS = 175
 NAMES = {"knocking": "knock", "read": "sit", "rest": "lie"}
-"""Names of figures of activities that events call otherwise."""
+"""Names of activities in figures, by their names in events."""
 SEATED = ("sit", "lie")
 
 
 class Figures(NamedTuple):
-    """Figures of one activity of one body."""
+    """Figures of one activity of one body: depths, pops and completion."""
 
     depth_m: float
     pops: int
@@ -148,7 +148,7 @@ def without_doors(recording: Recording) -> Recording:
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits the worst figures over all bodies, for each activity."""
+    """Emit the worst figures over all bodies, for each activity."""
     all_of = {name: figures_of(played(name)) for name in humanoid_names()}
     for name, own in all_of.items():
         print(f"  {name}: {', '.join(f'{key} {1000 * each.depth_m:.1f} mm' for key, each in own.items())}", flush=True)

@@ -20,7 +20,7 @@ Emit = Callable[[str, float, str], None]
 
 
 def run(emit: Emit) -> None:
-    """Emits ``bodies.*``; the smallest of some runs, everything warm but the loading."""
+    """Emit ``bodies.*``; the smallest of some runs, everything warm but the loading."""
     body = load_humanoid("female_0")
     for lod, name in ((False, "full"), (True, "lod")):
         emit(f"bodies.skin_1500_{name}_cpu_s", min(_skin(body, lod=lod) for _ in range(REPEATS)), "s")

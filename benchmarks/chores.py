@@ -62,20 +62,20 @@ ANKLES = [JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]]
 
 
 def resident(task: object, episode: object, number: int) -> CrowdPolicy:
-    """Policy of the person."""
+    """Return policy of the person."""
     own, start = episode.roster[number].body, episode.starts[number, :2]  # pyright: ignore[reportAttributeAccessIssue]
     routine = ChoreRoutine(episode.scene, episode.free, STOPS, own, start=start)  # pyright: ignore[reportAttributeAccessIssue]
     return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def played(body: str) -> Recording:
-    """Recording of a body that does all chores."""
+    """Return recording of a body that does all chores."""
     agents = {"human": "benchmarks.chores:resident"}
     return h3data.simulate("wander", HOME, roster=[body], agents=agents, seed=SEED, max_steps=30 * SECONDS)
 
 
 def figures_of(recording: Recording) -> dict[str, float]:
-    """Figures of one recording."""
+    """Return figures of one recording."""
     replay = Replay(recording)
     body, steps = replay.model(0), np.arange(len(recording))
     assert isinstance(body, Humanoid)
@@ -152,7 +152,7 @@ def _deepest(skin: Array, back: Array, box: Array) -> float:
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits the worst figures over all bodies."""
+    """Emit the worst figures over all bodies."""
     figures = []
     for name in humanoid_names():
         figures.append(own := figures_of(played(name)))

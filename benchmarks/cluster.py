@@ -22,12 +22,12 @@ from h3data.commands.executors import opened
 
 SHARDS = 6
 SHARD_S = 10.0
-"""CPU time of a shard: the overhead is asked for at this size."""
+"""CPU time of a shard at which the overhead is measured [s]."""
 EPISODES, STEPS = 2000, 30
 KILLS = 12
-"""Nodes killed, one whenever another file of 100 episodes is in the object store."""
+"""Number of killed nodes, one for each further file of 100 episodes in the object store."""
 DRIVER_DIES_AT = 4
-"""Files in the object store when the driver is killed; it goes on with ``--resume``."""
+"""Number of files in the object store at which the driver is killed, before it continues with ``--resume``."""
 
 
 def run(emit: Callable[[str, float, str], None], episodes: int = EPISODES) -> None:
@@ -41,7 +41,7 @@ def run(emit: Callable[[str, float, str], None], episodes: int = EPISODES) -> No
 
 
 def burn(seconds: float) -> float:
-    """Occupies a core for a CPU time [s]; returns what it took."""
+    """Occupy a core for a CPU time [s]; returns what it took."""
     start = time.process_time()
     while time.process_time() - start < seconds:
         sum(range(10_000))
@@ -49,7 +49,7 @@ def burn(seconds: float) -> float:
 
 
 def count(rounds: int) -> int:
-    """A fixed amount of work: some 10 s for 20,000 rounds."""
+    """Return a fixed amount of work: some 10 s for 20,000 rounds."""
     total = 0
     for _ in range(rounds):
         total += sum(range(20_000))

@@ -60,7 +60,7 @@ def figures_of(recording: Recording, scene: str) -> dict[str, tuple[float, str]]
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits the figures of the film."""
+    """Emit the figures of the film."""
     film = script()
     for name, (value, unit) in figures_of(film.play(), film.SCENE).items():
         emit(name, value, unit)

@@ -31,8 +31,10 @@ Emit = Callable[[str, float, str], None]
 
 
 def run(emit: Emit) -> None:
-    """Emits ``freespace.<preset>.{build_s,lattice_s,load_s,geodesic_us,pathfinder_us,path_us,bulk_us,field_us,lattice_us,
-    error_median,error_p95,exact_error_max}``."""
+    """Emit
+    ``freespace.<preset>.{build_s,lattice_s,load_s,geodesic_us,pathfinder_us,path_us,bulk_us,field_us,lattice_us,
+    error_median,error_p95,exact_error_max}``.
+    """
     _measure(
         FreeSpace.from_scene(build_home(HomeSpec(seed=0, preset="small")), cache=False)
     )  # compiles or loads kernels
@@ -81,7 +83,9 @@ def _measure(space: FreeSpace) -> dict[str, float]:
 
 
 def plain_distances(space: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths [N] [m] by the complete visibility graph of all corners and both ends, and Dijkstra: nothing is left out."""
+    """Return lengths [N] [m] by the complete visibility graph of all corners and both ends, and Dijkstra: nothing is
+    left out.
+    """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 

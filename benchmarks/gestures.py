@@ -21,7 +21,7 @@ RAMP_S = 0.8
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits the fastest joint and the time of a pose."""
+    """Emit the fastest joint and the time of a pose."""
     worst, seconds, poses = 0.0, 0.0, 0
     for name in humanoid_names():
         body = load_humanoid(name)

@@ -78,7 +78,7 @@ class Server:
         self.settle()
 
     def settle(self) -> None:
-        """Waits until the spare worker is warm: it compiles and loads for seconds."""
+        """Wait until the spare worker is warm: it compiles and loads for seconds."""
         idle, before = 0, -1.0
         while idle < 4:
             time.sleep(0.5)
@@ -101,7 +101,7 @@ class Server:
         return [json.loads(line) for line in self.process.stdout]
 
     def stop(self) -> None:
-        """Stops it as an operator does, and notes how long that took."""
+        """Stop it as an operator does, and notes how long that took."""
         begun = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
         self.process.wait(60)
@@ -115,7 +115,7 @@ def _cpu_s(process: int) -> float:
 
 @contextmanager
 def server(sessions: int = 1, workers: int = 1, **plan: Any) -> Iterator[Server]:
-    """A server in a folder that is deleted."""
+    """Return a server in a folder that is deleted."""
     with tempfile.TemporaryDirectory() as folder:
         running = Server(Path(folder, "rec"), sessions, workers, **plan)
         try:
@@ -127,7 +127,7 @@ def server(sessions: int = 1, workers: int = 1, **plan: Any) -> Iterator[Server]
 
 # --- scripted players -------------------------------------------------------------------------------------------------
 async def seated(stack: AsyncExitStack, link: str) -> Client | None:
-    """A client that plays; None where the machine takes no more."""
+    """Return a client that plays; None where the machine takes no more."""
     client = await stack.enter_async_context(Client(link))
     for _ in range(3):
         if await client.sit() == 200:
@@ -139,7 +139,7 @@ async def seated(stack: AsyncExitStack, link: str) -> Client | None:
 
 
 async def play(client: Client, k: int, end: float) -> None:
-    """Walks by keys, and every few seconds takes or drops something; where an episode ends, the next one begins."""
+    """Walk by keys, and every few seconds takes or drops something; where an episode ends, the next one begins."""
     chance = np.random.default_rng(k)
     while time.monotonic() < end:
         with contextlib.suppress(ConnectionError, ClientError):
@@ -173,7 +173,7 @@ async def _episode(client: Client, chance: np.random.Generator, end: float) -> N
 
 # --- groups of figures ------------------------------------------------------------------------------------------------
 def run(emit: Emit) -> None:
-    """Emits ``hitl.*``."""
+    """Emit ``hitl.*``."""
     for app, plan in PLANS.items():
         for count in COUNTS:
             with server(count, WORKERS, **plan) as running:

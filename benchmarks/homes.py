@@ -17,7 +17,7 @@ Emit = Callable[[str, float, str], None]
 
 
 def run(emit: Emit) -> None:
-    """Emits ``homes.<preset>.generate_s`` and ``homes.<preset>.generate_worst_s``."""
+    """Emit ``homes.<preset>.generate_s`` and ``homes.<preset>.generate_worst_s``."""
     for preset in get_args(Preset):
         build_home(HomeSpec(seed=0, preset=preset))
         seconds = []

@@ -44,8 +44,9 @@ print(time.perf_counter() - start, peak_mib())
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits ``interop.glb_1m.open_s`` and ``.peak_mib`` (`load_mesh`), ``.scene_s`` and ``.scene_peak_mib`` (as a stage);
-    ``interop.gfx_replay_500mb.s`` and ``.peak_mib`` (`h3data import`), ``.gz_s`` and ``.gz_peak_mib`` (the same packed).
+    """Emit ``interop.glb_1m.open_s`` and ``.peak_mib`` (`load_mesh`), ``.scene_s`` and ``.scene_peak_mib`` (as a
+    stage); ``interop.gfx_replay_500mb.s`` and ``.peak_mib`` (`h3data import`), ``.gz_s`` and ``.gz_peak_mib`` (the same
+    packed).
 
     Best of three, of replays of one; the peak is that of the whole process.
     """

@@ -23,7 +23,7 @@ ROUNDS = 60
 
 
 def run(emit: Emit) -> None:
-    """Emits ``lidar.*``."""
+    """Emit ``lidar.*``."""
     cases: tuple[tuple[Preset, int, int], ...] = (("medium", 1, 1), ("large", 1, 6), ("large", 16, 6))
     for preset, worlds, people in cases:
         free = FreeSpace.from_scene(build_home(HomeSpec(preset=preset, seed=2)))

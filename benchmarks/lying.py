@@ -25,7 +25,7 @@ THIGHS = [JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]
 
 
 def figures_of(sitting: Sitting) -> dict[str, float]:
-    """Figures of one body on one surface: depth, greatest distance of what touches [m], and turn per step [deg]."""
+    """Return figures of one body on one surface: depth, greatest distance of what touches [m], and turn per step [deg]."""
     body, share = sitting.body, np.linspace(1, 2, round(LIE_S / STEP_S) + 1)
     quats, pelvis = (np.repeat(part, len(share), 0) for part in sitting.pose(1.0))
     take_seats(body, quats, pelvis, np.column_stack([np.full(len(share), sitting.seat_m), share]))
@@ -44,7 +44,7 @@ def figures_of(sitting: Sitting) -> dict[str, float]:
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits the worst figures over all bodies and heights, and how many of them fit."""
+    """Emit the worst figures over all bodies and heights, and how many of them fit."""
     figures, unfit = [], 0
     for name in humanoid_names():
         for height in HEIGHTS_M:

@@ -58,7 +58,7 @@ def run(emit: Callable[[str, float, str], None]) -> None:
 
 
 def stored_dataset(emit: Callable[[str, float, str], None]) -> Path:
-    """A dataset of 10,000 social navigation episodes in the folder for temporary files, kept for the next time."""
+    """Return a dataset of 10,000 social navigation episodes in the folder for temporary files, kept for the next time."""
     root = Path(tempfile.gettempdir()) / f"h3data-bench-metrics-{EPISODES}x{STEPS}-v1"
     if not (root / "complete").exists():
         shutil.rmtree(root, ignore_errors=True)
@@ -73,7 +73,7 @@ def stored_dataset(emit: Callable[[str, float, str], None]) -> Path:
 
 
 def synthetic_recordings(number: int) -> Iterator[Recording]:
-    """A block of episodes with the columns that `h3data generate` records, as far as metrics may read them."""
+    """Return a block of episodes with the columns that `h3data generate` records, as far as metrics may read them."""
     columns = synthetic_columns(BLOCK, STEPS, seed=number)
     agents = (Agent(name="robot", kind="robot"), Agent(name="human", kind="human"))
     for e in range(BLOCK):

@@ -74,7 +74,7 @@ JERK_JOINTS = [JOINT_INDEX[name] for name in ("head", "left_wrist", "right_wrist
 
 
 def run(emit: Emit) -> None:
-    """Emits ``motion.quad_arm.*``, ``motion.<task>.*``, ``motion.*`` and ``motion.real.*``."""
+    """Emit ``motion.quad_arm.*``, ``motion.<task>.*``, ``motion.*`` and ``motion.real.*``."""
     slides = [trot_slides(track) for track in [*robot_tracks(), *_driven_tracks()]]
     emit("motion.quad_arm.foot_slide_mm", 1000 * max(float(slide.mean()) for slide in slides), _UNITS["foot_slide_mm"])
     worst = 1000 * max(float(np.percentile(slide, 99)) for slide in slides)
@@ -116,7 +116,7 @@ _UNITS = {
 
 
 def robot_tracks(steps: int = 300) -> list[Array]:
-    """Agent roots [T, 7] of robots at constant speeds and turn rates, in curves and on the spot."""
+    """Return agent roots [T, 7] of robots at constant speeds and turn rates, in curves and on the spot."""
     tracks = []
     for speed, turn in product((-1.0, 0.0, 0.2, 0.5, 1.0, 1.5, 2.0, 2.5), (0.0, 0.5, 1.5, 2.5)):
         heading = np.arange(steps) * turn * STEP_S
@@ -145,7 +145,7 @@ def _emit_robots(emit: Emit, prefix: str, recordings: list[Recording]) -> None:
 
 
 def robot_speeds(base: Array) -> tuple[Array, Array]:
-    """Forward [m/s] and turning speed [rad/s] in each step of a track of agent roots [T, 7]."""
+    """Return forward [m/s] and turning speed [rad/s] in each step of a track of agent roots [T, 7]."""
     heading, moved = heading_from_quat(base[:, 3:]), np.diff(base[:, [0, 2]], axis=0) / STEP_S
     forward = moved[:, 0] * np.cos(heading[:-1]) - moved[:, 1] * np.sin(heading[:-1])
     return forward, wrap_angle(np.diff(heading)) / STEP_S
@@ -185,7 +185,7 @@ def _emit_all(emit: Emit, prefix: str, found: dict[str, Array]) -> None:
 
 
 def figures_of(found: dict[str, Array]) -> dict[str, float]:
-    """The figures of what `motions` found."""
+    """Return the figures of what `motions` found."""
     minutes = len(found["turns"]) * STEP_S / 60
     return {
         "pops_per_minute": float(found["pops"].sum()) / minutes,
@@ -210,7 +210,7 @@ def motions(recording: Recording) -> Iterator[dict[str, Array]]:
 
 
 def real_motion(path: Path, body_name: str = "male_1") -> dict[str, Array]:
-    """The same of a captured motion on a body."""
+    """Return the same of a captured motion on a body."""
     body = load_humanoid(body_name)
     columns = motion_columns(retarget(read_motion(path), body), body)
     joints = body.joint_matrices_free(columns["agent_0.root_pose"], columns["agent_0.joint_quat"])

@@ -52,8 +52,9 @@ WALLS = "walls"
 
 
 def run(emit: Emit, episodes: int = 50, robots: Sequence[str] = (), humans: Sequence[str] = ()) -> None:
-    """Emits ``penetration.<task>.above_2cm`` and ``penetration.<task>.<kind>.<part>.*`` of each robot and of each
-    body of people who wander; of the default robot where nothing is named."""
+    """Emit ``penetration.<task>.above_2cm`` and ``penetration.<task>.<kind>.<part>.*`` of each robot and of each body
+    of people who wander; of the default robot where nothing is named.
+    """
     bodies = [name for human in humans for name in (humanoid_names() if human == ALL else (human,))]
     for body in dict.fromkeys(bodies):
         _measure(emit, f"penetration.{body}.wander", _wander(episodes, DEFAULT_ROBOT, body))

@@ -63,12 +63,12 @@ HALL_M = (18.0, 12.0)
 HOMES = ("h3-homes/val#0", "h3-homes/val#3", "h3-homes/val#5")
 NEAR_M, ALONE_M, AROUND_M = 3.0, 2.0, 2.0
 PLACES_S, WALKING_MPS = 0.4, 0.3
-"""Time between two places of measured pedestrians, and speed between them from which on somebody walks."""
+"""Time between two positions of measured pedestrians [s], and speed between them above which a person walks [m/s]."""
 COMPANY = {"company": ("walk1", "walk1", "talk1", "talk1"), "mornings": ("morning",) * 4}
 """People in company in the same homes, and people who follow a routine."""
 OPEN_M = 0.8
 POINTS, EVERY = 200, 5
-"""Points by which the floor around somebody is measured, in every fifth step."""
+"""Number of points that sample the floor around a person, and number of steps between samples."""
 GRIDLOCK_S, GETS_ON_M = 20, 0.5
 
 
@@ -117,9 +117,9 @@ class Walks(NamedTuple):
     velocity: Array
     """Velocities [T - 1, P, 2] [m/s]."""
     touching: Array
-    """Whether anybody touches anybody [T]."""
+    """Mask of steps in which any agents touch, shape [T]."""
     room: Array
-    """Distance to walls and furniture [T, P] [m]."""
+    """Distance of each person to walls and furniture, shape [T, P] [m]."""
     floor: Array
     """Area of the floor on which people can walk within `AROUND_M` of each person [T, P] [m2]."""
     goes: Array

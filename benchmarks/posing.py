@@ -65,7 +65,7 @@ def cost(replay: Replay, steps: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits the ratios of all activities."""
+    """Emit the ratios of all activities."""
     evening = h3data.simulate(
         "wander", "medium2:1", roster=[BODY], agents={"human": "orca+evening"}, seed=SEED, max_steps=30 * SECONDS
     )

@@ -23,7 +23,7 @@ def _wall_s(*command: str) -> float:
 
 
 def cpu_s(*command: str) -> float:
-    """CPU seconds of a command and the processes that it starts."""
+    """Return CPU seconds of a command and the processes that it starts."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     _wall_s(*command)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

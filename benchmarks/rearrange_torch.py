@@ -25,7 +25,7 @@ CPU_STEPS, CUDA_STEPS, ROUNDS = 10, 50, 5
 
 
 def run(emit: Emit) -> None:
-    """Emits ``rearrange_torch.*``; the lines of the GPU only where there is one."""
+    """Emit ``rearrange_torch.*``; the lines of the GPU only where there is one."""
     import torch
 
     from h3data_training.torch.rearrange.bank import RearrangeBank

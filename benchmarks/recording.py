@@ -45,7 +45,9 @@ STEPS, OBJECTS, EPISODES, THOUSAND = 1500, 20, 10, 1000
 
 
 def synthetic_episode(seed: int, *, human: str, restless: bool = False) -> Recording:
-    """An episode with ``human`` = ``clip`` (60 looping frames), ``free`` (every joint moves) or ``coded`` (clip phase)."""
+    """Return an episode with ``human`` = ``clip`` (60 looping frames), ``free`` (every joint moves) or ``coded`` (clip
+    phase).
+    """
     rng = np.random.default_rng(seed)
     robot, person = _stroll(rng, restless=restless), _stroll(rng, restless=restless)
     held = (5, 30) if restless else (20, 20)

@@ -41,7 +41,7 @@ with serve(handle, "127.0.0.1", 0, compression=None, max_size=None) as server:
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits ``remote.*``: whole calls (observe, pack, send, wait, unpack, check), and the part of the wire."""
+    """Emit ``remote.*``: whole calls (observe, pack, send, wait, unpack, check), and the part of the wire."""
     numbers = {name: Entry(name) for name in ("humanoid_gps", "egomotion")}
     pictures = {"image": Entry("arm_rgb", (224, 224)), "depth": Entry("arm_depth", (224, 171))}
     for name, shown in (("numbers", numbers), ("pictures", {**numbers, **pictures})):

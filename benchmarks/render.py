@@ -41,7 +41,7 @@ ROOM_M, HEIGHT_M, ROOMS_X, ROOMS_Z = 4.5, 2.7, 3, 2
 
 # --- a generated home -----------------------------------------------------------------------------------------------
 def patch(corners: Vertices, n: int) -> tuple[Vertices, NDArray[np.int32]]:
-    """A quad [4, 3] cut into 2 n^2 triangles."""
+    """Return a quad [4, 3] cut into 2 n^2 triangles."""
     s, t = (g.ravel()[:, None] for g in np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), indexing="ij"))
     a, b, c, d = corners
     points = a * (1 - s) * (1 - t) + b * s * (1 - t) + c * s * t + d * (1 - s) * t
@@ -51,7 +51,7 @@ def patch(corners: Vertices, n: int) -> tuple[Vertices, NDArray[np.int32]]:
 
 
 def box(center: tuple, size: tuple, n: int) -> tuple[Vertices, NDArray[np.int32]]:
-    """An axis-aligned box of 12 n^2 triangles with sharp edges."""
+    """Return an axis-aligned box of 12 n^2 triangles with sharp edges."""
     parts = []
     for axis in range(3):
         for side in (-1, 1):
@@ -64,7 +64,7 @@ def box(center: tuple, size: tuple, n: int) -> tuple[Vertices, NDArray[np.int32]
 
 
 def blob(center: tuple, size: tuple, n: int, roundness: float) -> tuple[Vertices, NDArray[np.int32]]:
-    """A superellipsoid of 4 n^2 triangles: ``roundness`` 1 is an ellipsoid, near 0 a box."""
+    """Return a superellipsoid of 4 n^2 triangles: ``roundness`` 1 is an ellipsoid, near 0 a box."""
     s, t = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, 2 * n + 1), indexing="ij")
     polar, around = s.ravel() * np.pi, t.ravel() * 2 * np.pi
 
@@ -101,7 +101,7 @@ def colored(part: tuple[Vertices, NDArray[np.int32]], color: tuple[int, int, int
 
 
 def furniture(fineness: float) -> list[Mesh]:
-    """Six large and four small things on the floor, about their own origin."""
+    """Return six large and four small things on the floor, about their own origin."""
 
     def n(base: float) -> int:
         return max(1, round(base * fineness))
@@ -146,7 +146,7 @@ LARGE = 6
 
 
 def shell() -> list[Mesh]:
-    """Floor, walls with door openings, ceiling."""
+    """Return floor, walls with door openings, ceiling."""
     width, depth = ROOMS_X * ROOM_M, ROOMS_Z * ROOM_M
     walls = []
     for along_x in (True, False):
@@ -170,7 +170,7 @@ def shell() -> list[Mesh]:
 
 
 def home(triangles: int, objects: int, seed: int = 0) -> tuple[list[Mesh], list[RenderInstance]]:
-    """Meshes and instances of a home of about so many triangles and exactly so many objects."""
+    """Return meshes and instances of a home of about so many triangles and exactly so many objects."""
     rng = np.random.default_rng(seed)
     building = shell()
     kinds = np.where(rng.random(objects) < 0.35, rng.integers(0, LARGE, objects), rng.integers(LARGE, 10, objects))
@@ -197,7 +197,7 @@ def home(triangles: int, objects: int, seed: int = 0) -> tuple[list[Mesh], list[
 
 
 def poses(count: int = 8, seed: int = 3) -> list[NDArray[np.float64]]:
-    """Camera poses in the rooms."""
+    """Return camera poses in the rooms."""
     rng = np.random.default_rng(seed)
     out = []
     for k in range(count):
@@ -213,8 +213,9 @@ def _direction(yaw: float, pitch: float) -> NDArray[np.float64]:
 
 
 def textured(mesh: Mesh, seed: int) -> Mesh:
-    """The mesh with a noisy texture of its own of 512 x 512 texels, one repeat a metre, along each triangle's two longer
-    axes (no vertex is shared any more)."""
+    """Return the mesh with a noisy texture of its own of 512 x 512 texels, one repeat a metre, along each triangle's
+    two longer axes (no vertex is shared any more).
+    """
     corners = mesh.vertices[mesh.faces]
     normal = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     along = np.array([[2, 1], [0, 2], [0, 1]])[normal.argmax(1)]
@@ -237,7 +238,7 @@ def cpu_seconds() -> float:
 
 
 def cpu_ms(work: Callable[[], object], *, per: int = 1, rounds: int = 7) -> float:
-    """CPU milliseconds of ``work`` divided by ``per``: the median of some rounds, after one that does not count."""
+    """Return CPU milliseconds of ``work`` divided by ``per``: the median of some rounds, after one that does not count."""
     work()
     times = []
     for _ in range(rounds):
@@ -329,7 +330,7 @@ def _run_largest(emit: Emit, renderer: Renderer) -> None:
 
 
 def plant(leaves: int) -> Mesh:
-    """Leaves on squares of two triangles, each with a texture that is clear around the leaf."""
+    """Return leaves on squares of two triangles, each with a texture that is clear around the leaf."""
     rng = np.random.default_rng(1)
     yaw, tilt = rng.uniform(0, 2 * np.pi, leaves), rng.uniform(0.2, 1.3, leaves)
     out = np.stack([np.sin(tilt) * np.cos(yaw), np.cos(tilt), np.sin(tilt) * np.sin(yaw)], 1)
@@ -350,7 +351,7 @@ def plant(leaves: int) -> Mesh:
 
 
 def plants(count: int) -> list[RenderInstance]:
-    """Instances of mesh 13, the one after those of `home`, on the floor all over it."""
+    """Return instances of mesh 13, the one after those of `home`, on the floor all over it."""
     rng = np.random.default_rng(2)
     poses = np.tile(np.eye(4), (count, 1, 1))
     poses[:, [0, 2], 3] = rng.uniform(0.4, 1, (count, 2)) * (ROOMS_X * ROOM_M - 0.5, ROOMS_Z * ROOM_M - 0.5)

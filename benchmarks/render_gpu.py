@@ -32,7 +32,7 @@ PERSON_M = 1.3
 
 
 def stage(*, light: bool = False) -> GpuScene:
-    """The home, 25 things that move, and a person, by the full or the light mesh."""
+    """Return the home, 25 things that move, and a person, by the full or the light mesh."""
     meshes, instances = home(TRIANGLES, OBJECTS)
     body = load_humanoid("female_0")
     skin, worn = (body.lod, body.lod_mesh) if light else (body.full, body.mesh)
@@ -112,7 +112,7 @@ def step_of(renderer: GpuRenderer, steps: Steps, size: str, outputs: tuple) -> C
 
 
 def event_ms(work: Callable[[], object], *, rounds: int = 30) -> float:
-    """Median time on the GPU [ms]."""
+    """Return median time on the GPU [ms]."""
     import torch
 
     for _ in range(3):
@@ -129,7 +129,7 @@ def event_ms(work: Callable[[], object], *, rounds: int = 30) -> float:
 
 
 def wall_ms(work: Callable[[], object], *, rounds: int = 300) -> float:
-    """Median wall-clock time with the wait for the GPU [ms]."""
+    """Return median wall-clock time with the wait for the GPU [ms]."""
     import torch
 
     times = []

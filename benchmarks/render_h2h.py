@@ -43,7 +43,7 @@ SMALL = ("vase", "bowl", "mug", "toy")
 
 # --- shapes -----------------------------------------------------------------------------------------------------------
 def patch(surface: Surface, nu: int, nv: int) -> Part:
-    """A surface cut into 2 nu nv triangles."""
+    """Return a surface cut into 2 nu nv triangles."""
     u, v = np.meshgrid(np.linspace(0, 1, nu + 1), np.linspace(0, 1, nv + 1), indexing="ij")
     corner = (np.arange(nu)[:, None] * (nv + 1) + np.arange(nv)).ravel()
     across, along = corner + 1, corner + nv + 1
@@ -76,7 +76,7 @@ def box(center: Sequence[float], size: Sequence[float], n: int) -> Part:
 def blob(
     center: Sequence[float], size: Sequence[float], n: int, roundness: float = 1.0, bumps: float = 0.0, seed: int = 0
 ) -> Part:
-    """A superellipsoid of 4 n^2 triangles, of ``roundness`` 1 an ellipsoid, with bumps."""
+    """Return a superellipsoid of 4 n^2 triangles, of ``roundness`` 1 an ellipsoid, with bumps."""
     rng = np.random.default_rng(seed)
     waves, phase = rng.normal(size=(6, 3)) * 4, rng.uniform(0, 6, 6)
 
@@ -94,7 +94,7 @@ def blob(
 
 
 def turned(radius: Callable[[NDArray[np.float64]], NDArray[np.float64]], height: float, n: int, m: int) -> Part:
-    """A surface of revolution about z."""
+    """Return a surface of revolution about z."""
 
     def points(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         r, around = radius(u), v * 2 * np.pi
@@ -104,7 +104,7 @@ def turned(radius: Callable[[NDArray[np.float64]], NDArray[np.float64]], height:
 
 
 def rod(start: Sequence[float], end: Sequence[float], radius: float, n: int, m: int) -> Part:
-    """A tube that narrows at its ends."""
+    """Return a tube that narrows at its ends."""
     a, along = np.array(start), np.array(end) - np.array(start)
     length = np.linalg.norm(along)
     side = np.cross(along / length, [0.3, 0.5, 0.8])
@@ -121,7 +121,7 @@ def rod(start: Sequence[float], end: Sequence[float], radius: float, n: int, m: 
 
 # --- things -----------------------------------------------------------------------------------------------------------
 def things(fineness: float) -> dict[str, Part]:
-    """The 16 kinds, standing on z = 0 about their own origin."""
+    """Return the 16 kinds, standing on z = 0 about their own origin."""
 
     def n(base: int) -> int:
         return max(2, round(base * fineness))
@@ -228,7 +228,7 @@ def _plant(rng: np.random.Generator, n: Callable[[int], int]) -> Part:
 
 
 def building() -> Part:
-    """Floor, ceiling, walls with doors in the middle of the inner ones."""
+    """Return floor, ceiling, walls with doors in the middle of the inner ones."""
     wide, deep = ROOMS_X * ROOM, ROOMS_Y * ROOM
     parts = [
         box((wide / 2, deep / 2, -0.05), (wide + 0.2, deep + 0.2, 0.1), 40),
@@ -252,7 +252,7 @@ def building() -> Part:
 
 
 def placed(count: int, seed: int = 0) -> list[tuple[str, NDArray[np.float64]]]:
-    """Kind and 4x4 pose of every thing, room by room, along the walls."""
+    """Return kind and 4x4 pose of every thing, room by room, along the walls."""
     rng = np.random.default_rng(seed)
     found = []
     per = count // (ROOMS_X * ROOMS_Y)
@@ -280,7 +280,7 @@ def placed(count: int, seed: int = 0) -> list[tuple[str, NDArray[np.float64]]]:
 
 
 def home(triangles: int, count: int) -> RenderScene:
-    """The building with ``count`` things, as fine as gives about so many ``triangles``."""
+    """Return the building with ``count`` things, as fine as gives about so many ``triangles``."""
     poses = placed(count)
     uses = {kind: sum(k == kind for k, _ in poses) for kind in (*LARGE, *SMALL)}
     low, high, parts = 0.1, 20.0, {}
@@ -302,7 +302,7 @@ def _mesh(part: Part) -> Mesh:
 
 
 def views(count: int = 8, seed: int = 3) -> list[NDArray[np.float64]]:
-    """Camera poses in the rooms, at the height of robots and eyes."""
+    """Return camera poses in the rooms, at the height of robots and eyes."""
     rng = np.random.default_rng(seed)
     poses = []
     for k in range(count):

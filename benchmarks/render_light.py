@@ -157,7 +157,7 @@ def _lit(home: Scene, flat: RenderScene) -> LitScene:
 
 
 def compiled() -> None:
-    """Prints the CPU seconds that compiling all kernels of the light takes."""
+    """Print the CPU seconds that compiling all kernels of the light takes."""
     from h3data.mesh.primitives import box_mesh
     from h3data.render.light.sources import LightSources
 

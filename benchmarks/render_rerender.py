@@ -31,7 +31,7 @@ OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "instance")
 
 
 def scene_of() -> tuple[Replay, CameraTrack]:
-    """The recording, and the camera that trails its robot, 640x480."""
+    """Return the recording, and the camera that trails its robot, 640x480."""
     world = SocialNav().episode(build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=STEPS))
     replay = Replay(simulate(SocialNav(), world))
     trailing = camera_track(replay, "third_person")

@@ -178,7 +178,7 @@ def _run_alike(emit: Emit, replay: Replay, track: CameraTrack, samples: Literal[
 
 
 def off_silhouettes(instance: NDArray[np.integer], depth: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Pixels [H, W] around which one instance is seen without a jump in depth."""
+    """Return pixels [H, W] around which one instance is seen without a jump in depth."""
 
     def around(image: NDArray[Any]) -> NDArray[Any]:
         return np.lib.stride_tricks.sliding_window_view(np.pad(image, 1, mode="edge"), (3, 3))

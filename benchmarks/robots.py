@@ -23,7 +23,7 @@ LINKS = 10
 
 
 def run(emit: Emit) -> None:
-    """Emits ``bodies.fk_*``, ``bodies.ik_*`` and ``bodies.trot_us_per_step``, all of ``quad_arm``; ``bodies.mjcf_*``."""
+    """Emit ``bodies.fk_*``, ``bodies.ik_*`` and ``bodies.trot_us_per_step``, all of ``quad_arm``; ``bodies.mjcf_*``."""
     robot, rng = load_robot("quad_arm"), np.random.default_rng(0)
     bases = ground_pose(rng.uniform(-5, 5, (WORLDS, 2)), rng.uniform(-3, 3, WORLDS))
     joints = rng.uniform(robot.lower, robot.upper, (WORLDS, len(robot.joint_names)))

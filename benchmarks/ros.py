@@ -25,7 +25,9 @@ PATHS = 400
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits ``ros.*``: a bag of `STEPS` steps out and in, a log of `LOG_S` in, paths in the map of a home and in the home."""
+    """Emit ``ros.*``: a bag of `STEPS` steps out and in, a log of `LOG_S` in, paths in the map of a home and in the
+    home.
+    """
     from tests.ros import bags
     from tests.ros.recordings import crossing
 

@@ -36,7 +36,7 @@ EPISODES, RUNS = 4, 3
 
 
 def run(emit: Emit) -> None:
-    """Emits ``sim.state.*``, ``sim.arm.*``, ``sim.social_nav.*`` and the cells of the paper's benchmark."""
+    """Emit ``sim.state.*``, ``sim.arm.*``, ``sim.social_nav.*`` and the cells of the paper's benchmark."""
     home = build_home(HomeSpec(preset="small", seed=1))
     free = FreeSpace.from_scene(home)
     emit("sim.state.w1_steps_per_s", _state_steps(free, worlds=1, steps=20_000), "steps/s")
@@ -118,7 +118,7 @@ def _arm_steps(worlds: int, steps: int) -> float:
 
 
 def cpu_s(work: Callable[[], object]) -> float:
-    """CPU seconds, user and system, of this process for ``work``."""
+    """Return CPU seconds, user and system, of this process for ``work``."""
     before = resource.getrusage(resource.RUSAGE_SELF)
     work()
     after = resource.getrusage(resource.RUSAGE_SELF)

@@ -28,7 +28,7 @@ RESETS = 1000
 
 
 def run(emit: Emit) -> None:
-    """Emits ``sim.env.*`` and ``sim.reset_growth_mb``: how much more memory 1,000 resets have taken at most."""
+    """Emit ``sim.env.*`` and ``sim.reset_growth_mb``: how much more memory 1,000 resets have taken at most."""
     single = h3data.make("social_nav", HOME)
     single.reset(seed=0)
     emit(

@@ -55,7 +55,7 @@ class Run(NamedTuple):
 
 
 def run(emit: Emit, seeds: int = SEEDS, keep: str = "") -> None:
-    """Emits ``sim.many.*`` for 3, 4 and 5 agents and for all."""
+    """Emit ``sim.many.*`` for 3, 4 and 5 agents and for all."""
     runs = list(play_all(seeds, keep))
     for name, counts in (("agents_3", (3,)), ("agents_4", (4,)), ("agents_5", (5,)), ("all", (3, 4, 5))):
         some = [r for r in runs if r.agents in counts]
@@ -76,7 +76,7 @@ def play_all(seeds: int, keep: str = "") -> Iterator[Run]:
 
 
 def play(job: tuple[str, int, int, str]) -> Run:
-    """One episode: agents, home, seed, and the folder in which its recording is kept if it fails."""
+    """Return one episode: agents, home, seed, and the folder in which its recording is kept if it fails."""
     agents, home, seed, keep = job
     scene, free = _home(home)
     world = Rearrange().episode(scene, seed=seed, free=free, agents=agents)

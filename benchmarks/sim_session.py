@@ -25,7 +25,7 @@ STEPS, REPETITIONS = 400, 5
 
 
 def run(emit: Emit) -> None:
-    """Emits ``sim.rearrange.person_step_*``."""
+    """Emit ``sim.rearrange.person_step_*``."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "driven.mcap"
         _step_times(path)

@@ -111,7 +111,7 @@ class Stepper:
 
 
 def run(emit: Emit) -> None:
-    """Emits ``sim.torch.*`` and ``sim.gpu.*``; the lines of the GPU only where there is one."""
+    """Emit ``sim.torch.*`` and ``sim.gpu.*``; the lines of the GPU only where there is one."""
     import torch
 
     threads = torch.get_num_threads()
@@ -234,7 +234,7 @@ def _on_cuda(emit: Emit, worlds: int) -> None:
 
 
 def cpu_s(work: Callable[[], object]) -> float:
-    """CPU seconds of this process for ``work`` (`benchmarks.sim` has the same, but needs all of h3data)."""
+    """Return CPU seconds of this process for ``work`` (`benchmarks.sim` has the same, but needs all of h3data)."""
     start = time.process_time()
     work()
     return time.process_time() - start

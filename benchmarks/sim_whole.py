@@ -33,7 +33,7 @@ COMPARED, BETWEEN = 1000, 2000
 
 
 def run(emit: Emit, between: int = BETWEEN) -> None:
-    """Emits ``sim.whole_step.*`` and ``sim.long_run_ratio``."""
+    """Emit ``sim.whole_step.*`` and ``sim.long_run_ratio``."""
     with process_pool(PROCESSES) as pool:
         for worlds in (1, 16):
             cell = Cell(home="large", pictures="arm", worlds=worlds)
@@ -49,7 +49,9 @@ def run(emit: Emit, between: int = BETWEEN) -> None:
 
 
 def skin_ratio(cell: Cell) -> float:
-    """CPU time of the steps of a cell over that of the same steps with people as rigid capsules, the median of pairs."""
+    """Return CPU time of the steps of a cell over that of the same steps with people as rigid capsules, the median of
+    pairs.
+    """
     skinned, bones = BenchmarkWorlds(cell), BenchmarkWorlds(replace(cell, skinned=False))
     for worlds in (skinned, bones):
         worlds.run(0, steps=40)  # compiles, fills caches
@@ -57,7 +59,7 @@ def skin_ratio(cell: Cell) -> float:
 
 
 def skin_ratio_in_view() -> tuple[float, float]:
-    """The same ratio for whole steps beside a person who is in view, and the share of these steps that show them."""
+    """Return the skin ratio for whole steps next to a person in view, and the share of these steps that show them."""
     session = h3data.session("social_nav", scenes="small:1", seed=4, agents={"robot": "rollout_expert"})
     bodies = [member.body for member in session.episode.roster]
     own = AgentPictures(bodies[0], ("arm_depth", "humanoid_detector"), agent=0)
@@ -84,7 +86,9 @@ def skin_ratio_in_view() -> tuple[float, float]:
 
 
 def long_run_ratio(between: int) -> float:
-    """Speed of 1,000 steps after ``between`` others over the speed of the same ones before them, robot and person."""
+    """Return speed of 1,000 steps after ``between`` others over the speed of the same ones before them, robot and
+    person.
+    """
     worlds = BenchmarkWorlds(Cell())
     worlds.run(0, steps=100)  # compiles, fills caches
     first = worlds.run(1, steps=COMPARED).cpu_s

@@ -27,7 +27,9 @@ HIPS = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip")]
 
 
 def figures_of(sitting: Sitting) -> dict[str, float]:
-    """Figures of one body on one seat: depth, distance of the hips, slide of the ankles [m], and turn per step [deg]."""
+    """Return figures of one body on one seat: depth, distance of the hips, slide of the ankles [m], and turn per step
+    [deg].
+    """
     body, u = sitting.body, np.linspace(0, 1, STEPS + 1)
     quats, pelvis = sitting.pose(u**3 * (10 - 15 * u + 6 * u * u))
     joints = body.joint_matrices(np.tile(IDENTITY_POSE, (len(u), 1)), quats, pelvis)
@@ -46,7 +48,7 @@ def figures_of(sitting: Sitting) -> dict[str, float]:
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits the worst figures over all bodies and heights, and how many of them fit."""
+    """Emit the worst figures over all bodies and heights, and how many of them fit."""
     figures, unfit, seconds = [], 0, 0.0
     for name in humanoid_names():
         for height in HEIGHTS_M:

@@ -58,15 +58,14 @@ Emit = Callable[[str, float, str], None]
 EPISODES, HOMES = 40, 10
 STEPS, WITHIN_M, GETS_ON_M = 300, 2.5, 1.0
 PATIENCE_STEPS = 150
-"""Whoever drives the robot waits for so long where somebody is in their way."""
+"""Number of steps for which a driver waits while another agent blocks the path."""
 DOORWAY_STEPS, STAYS_STEPS, LOOKS_AROUND_STEPS = (60, 240), (90, 300), 300
-"""Who has errands of their own stops for so long in a doorway and at each errand (drawn evenly), and looks around so often
-while they drive."""
+"""Ranges of steps that a driver with errands stays in a doorway, stays at an errand, and drives between looks around."""
 NOTICES_M, MEETS_M, BESIDE_M, MEETS_STEPS = 4.0, 1.5, 0.8, 60
-"""They see within the first distance that somebody waits. Who is nearer than the second, and than the third to the way that
-they go, is let pass for so many steps."""
+"""Distances [m] at which a driver notices a waiting agent, lets an agent pass, and counts an agent as beside the path;
+and number of steps for which they let it pass."""
 PARKED_STEPS, STOPS_M = 450, 1.5
-"""Who parks in doorways stays in each for so long, and stops when the person is nearer than this."""
+"""Number of steps that a parking driver stays in a doorway, and distance to the person below which they stop [m]."""
 NAVIGATES = {ALL_SKILLS.index("nav_to_object"): False, ALL_SKILLS.index("nav_to_goal"): True}
 """Whether a skill goes to where its object belongs."""
 LOOKS_STEPS = 10
@@ -77,7 +76,7 @@ LINES = {PLANS: "planned.", "errands": "driven.", "parks": "parked."}
 
 
 def run(emit: Emit, episodes: int = EPISODES) -> None:
-    """Emits ``standoff.rearrange.*``, of all episodes and by who moves the robot."""
+    """Emit ``standoff.rearrange.*``, of all episodes and by who moves the robot."""
     report(emit, played(range(episodes)))
     report(emit, played(filter(is_driven, range(episodes)), driver="parks"))
 
@@ -85,7 +84,7 @@ def run(emit: Emit, episodes: int = EPISODES) -> None:
 def played(
     seeds: Iterable[int], file: Path | None = None, *, driver: str = "errands", workers: int = 1
 ) -> Iterator[dict[str, Any]]:
-    """Plays episodes in some processes; those that a file has already are taken from there, the others are added to it."""
+    """Play episodes in some processes; those that a file has already are taken from there, the others are added to it."""
     jobs = [(seed, driver if is_driven(seed) else PLANS) for seed in seeds]
     known: dict[tuple[int, str], dict[str, Any]] = {}
     if file is not None and file.exists():
@@ -118,7 +117,7 @@ def _row(job: tuple[int, str]) -> dict[str, Any]:
 
 
 def report(emit: Emit, episodes: Iterable[dict[str, Any]]) -> None:
-    """Emits every stand-off, then counts and ratios of some episodes."""
+    """Emit every stand-off, then counts and ratios of some episodes."""
     rows = []
     for row in episodes:
         rows.append(row)
@@ -152,7 +151,7 @@ def is_driven(seed: int) -> bool:
 
 
 def play(seed: int, robot: str = PLANS) -> tuple[Recording, int, Errands | Parks | None]:
-    """One episode, the steps that its person takes alone, and who drove the robot."""
+    """Return one episode, the steps that its person takes alone, and who drove the robot."""
     scene, free = _home(seed % HOMES)
     episode = Rearrange().episode(scene, seed=seed, free=free)
     driver = DRIVERS[robot](free, seed) if robot in DRIVERS else None
@@ -164,12 +163,13 @@ def play(seed: int, robot: str = PLANS) -> tuple[Recording, int, Errands | Parks
 def stand_offs(
     recording: Recording, free: FreeSpace, errands: Sequence[tuple[int, float]] | None = None
 ) -> list[tuple[int, int]]:
-    """First and last step of every stand-off of two agents.
+    """Return first and last step of every stand-off of two agents.
 
     Args:
         recording: The episode; agent 0 is the robot.
         free: Its floor.
-        errands: Of a robot that somebody drives, the number of their errand at each step, and the length of the path that is
+        errands: Of a robot that somebody drives, the number of their errand at each step, and the length of the path
+            that is
             left of it [m], NaN where none leads there: they get on if it becomes shorter, as others do.
     """
     columns, steps = recording.columns, len(recording)
@@ -223,8 +223,9 @@ def _left(recording: Recording, free: FreeSpace, xz: NDArray, skill: NDArray, ta
 
 
 def shut_steps(recording: Recording, scene: Scene, free: FreeSpace) -> int:
-    """Steps in which no way led the person around the robot, as it stood, to any place from which a hand gets to where they
-    were going: no rule of giving way helps against these. Looked at in every `LOOKS_STEPS`-th step."""
+    """Return steps in which no way led the person around the robot, as it stood, to any place from which a hand gets to
+    where they were going: no rule of giving way helps against these. Looked at in every `LOOKS_STEPS`-th step.
+    """
     columns, goals = recording.columns, [goal["position"] for goal in recording.episode.info["goals"]]
     body = load_humanoid(recording.agents[1].model.removeprefix("humanoid/"))
     routes, room, shut = FloorRoutes.of(free), reach_room(scene, body, free.floor_y), 0
@@ -252,18 +253,18 @@ def shut_steps(recording: Recording, scene: Scene, free: FreeSpace) -> int:
 
 @dataclass
 class Driver(ABC):
-    """Somebody who drives a robot from place to place."""
+    """Driver of a robot from place to place, in place of a person at the controls."""
 
     free: FreeSpace
     seed: int
     doorway_stops: int = 0
     _goal: NDArray[np.float64] | None = None
     _stands: int = 0
-    """Steps for which they still stand where they are."""
+    """Number of steps for which the driver still stands."""
     _turns: float = 0.0
-    """Turn command while they stand: they look around."""
+    """Turn command while the driver stands and looks around."""
     _speed: float = 0.0
-    """Forward command meanwhile: they back out."""
+    """Forward command while the driver backs out."""
     _waited: int = 0
     _doorways: list[NDArray[np.float64]] = field(default_factory=list)
     errands: list[tuple[int, float]] = field(default_factory=list)
@@ -300,9 +301,11 @@ class Driver(ABC):
 
 @dataclass
 class Errands(Driver):
-    """Somebody with errands of their own. They stop for some seconds in each doorway that they come through and wherever they
-    have something to do, and look around now and then. They let the other pass who comes towards them, and go elsewhere, not
-    towards them, if that takes long; they also do so where the other has been waiting for a second while they stand."""
+    """Driver with errands, who stops for some seconds in each doorway and at each errand and looks around now and then.
+
+    The driver lets agents pass who come towards the robot, and takes another path if that takes long. They also do so
+    if the other agent has waited for a second while they stand.
+    """
 
     _passed: set[int] = field(default_factory=set)
     """Doorways in which they have stopped on this errand."""
@@ -358,8 +361,10 @@ class Errands(Driver):
 
 @dataclass
 class Parks(Driver):
-    """Somebody who means to be in the way: they drive to a doorway, stop there for `PARKED_STEPS` whoever waits, and go to the
-    next. Whoever is in their own way is waited for, for `PATIENCE_STEPS`; then comes the next doorway."""
+    """Driver who is in the way on purpose, by stopping in doorways for `PARKED_STEPS` regardless of waiting agents.
+
+    If an agent is in the driver's way, the driver waits for `PATIENCE_STEPS` and then goes to the next doorway.
+    """
 
     _visits: int = 0
     _parked: int = 0

@@ -40,17 +40,17 @@ class Case(NamedTuple):
 
 
 CASES = (Case(2048), Case(512), Case(96), Case(96, learned=128), Case(512, learned=32), Case(2048, hold=3))
-"""Those that say most come first."""
+"""Measured cases, the most informative first."""
 ROLLOUT = 32
-"""Decisions of one that is not."""
+"""Number of decisions of a rollout without learning."""
 PICTURES_AT_ONCE = 8192
-"""Of a minibatch: what the backward pass keeps of them takes some 20 GB."""
+"""Number of pictures in a minibatch; the backward pass stores about 20 GB for them."""
 ENOUGH_S = 240.0
-"""No case is begun after so many seconds; one takes some 35, most of them to compile the step of the worlds."""
+"""Time after which no further case is started [s]; a case takes about 35 s, mostly for compilation."""
 
 
 def run(emit: Emit) -> None:
-    """Emits ``training.cuda.*``; nothing where there is no GPU."""
+    """Emit ``training.cuda.*``; nothing where there is no GPU."""
     import torch
 
     began = time.perf_counter()
@@ -73,7 +73,7 @@ def measure(
     passes: int,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Emits the lines of all cases.
+    """Emit the lines of all cases.
 
     Args:
         emit: Told each line.

@@ -16,7 +16,7 @@ BENCHMARK, POLICY = "h3-social-nav@1", "heuristic_expert"
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits ``verification.social_nav_150.{run,verify}_cpu_s``."""
+    """Emit ``verification.social_nav_150.{run,verify}_cpu_s``."""
     cli = (str(Path(sys.executable).with_name("h3data")), "benchmark")
     with tempfile.TemporaryDirectory() as folder:
         result = str(Path(folder) / "result")

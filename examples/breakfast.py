@@ -40,14 +40,14 @@ SHOTS = {
 
 
 def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
-    """Policy of a person who follows their routine."""
+    """Return the policy of a person who follows their routine."""
     own, start = episode.roster[number].body, episode.starts[number, :2]
     routine = ChoreRoutine(episode.scene, episode.free, ROUTINES[number], own, start=start, number=number)
     return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
 
 
 def play(seed: int = SEED) -> Recording:
-    """Simulates the breakfast."""
+    """Simulate the breakfast."""
     agents = {"human": f"{Path(__file__).stem}:resident", "robot": "wander"}
     return h3data.simulate(
         "wander", SCENE, roster=ROSTER, agents=agents, seed=seed, max_steps=SECONDS * FPS, spawn_distance_m=1.0
@@ -55,7 +55,7 @@ def play(seed: int = SEED) -> Recording:
 
 
 def sheet(recording: Recording, out: Path) -> None:
-    """Renders moments around what people take and put down, a row for each, and of who looks at a phone."""
+    """Render moments around what people take and put down, a row for each, and of who looks at a phone."""
     replay, rows = Replay(recording, light="baked"), []
     for name, moments in SHOTS.items():
         agent, kind, word = (int(name[0]), *name[2:].split())

@@ -20,7 +20,7 @@ person, walker = session.play.team.people[0], session.episode.spec.human
 
 
 def steer(forward_m: float, left_rad: float) -> None:
-    """Plays one step towards a place so far ahead, or turns towards a heading so far to the left."""
+    """Play one step towards a place so far ahead, or turns towards a heading so far to the left."""
     turn = float(np.clip(left_rad * 30 / walker.turn_rad_s, -1, 1))
     forward = float(np.clip(forward_m * 30 / walker.speed_mps, 0, 1)) if abs(left_rad) < 0.1 else 0.0
     session.act("person", PersonCommand(forward, turn))
@@ -28,7 +28,7 @@ def steer(forward_m: float, left_rad: float) -> None:
 
 
 def walk_to(stand: np.ndarray) -> None:
-    """Steers along the shortest path to ``(x, z, heading)``."""
+    """Steer along the shortest path to ``(x, z, heading)``."""
     for corner in session.observe("person").free.path(person.xz, stand[:2])[1:]:
         while not session.ended and np.hypot(*(gap := corner - person.xz)) > 0.005:
             steer(float(np.hypot(*gap)), float(wrap_angle(np.arctan2(-gap[1], gap[0]) - person.heading)))

@@ -42,7 +42,7 @@ class FetchSpec(RearrangeSpec):
 
 
 def drawer_of(episode: Any) -> int:
-    """Number of the drawer to open, among all that opens in the home; it follows from the seed.
+    """Return number of the drawer to open, among all that opens in the home; it follows from the seed.
 
     Raises:
         SceneError: the home has no drawers.
@@ -79,12 +79,12 @@ class DrawerFirst:
 
 
 def drawer_first(task: Any, episode: Any, number: int) -> DrawerFirst:
-    """The policy for one episode: then the robot brings what the person does not."""
+    """Return the policy for one episode: then the robot brings what the person does not."""
     return DrawerFirst(drawer_of(episode), resolve_policy(task, "robot", "complement")(episode, number).policy)
 
 
 class FetchCodec(RearrangeCodec):
-    """Episodes are written as those of rearrangement; only the words are others."""
+    """Codec of the task's episodes, which differs from that of rearrangement only in its instruction."""
 
     def drawer_name(self, episode: Any) -> str:
         """Name of the drawer to open, ``thing/part``."""
@@ -92,7 +92,7 @@ class FetchCodec(RearrangeCodec):
         return names[drawer_of(episode)]
 
     def instruction(self, episode: Any) -> str:
-        """One sentence."""
+        """Return the instruction for the task as one sentence."""
         words = self.drawer_name(episode).replace("_", " ").replace("/", " ")
         return f"open {words} and {super().instruction(episode)}"
 

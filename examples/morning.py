@@ -51,14 +51,14 @@ SHOTS = (
 
 
 def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
-    """Policy of a person who follows their routine."""
+    """Return policy of a person who follows their routine."""
     own = episode.roster[number].body
     routine = Routine(episode.scene, episode.free, ROUTINES[number], own)
     return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
 
 
 def play(seed: int = SEED) -> Recording:
-    """Simulates the minute."""
+    """Simulate the minute."""
     agents = {"human": f"{Path(__file__).stem}:resident", "robot": "wander"}
     return h3data.simulate(
         "wander", SCENE, roster=ROSTER, agents=agents, seed=seed, max_steps=SECONDS * FPS, spawn_distance_m=1.0
@@ -66,7 +66,7 @@ def play(seed: int = SEED) -> Recording:
 
 
 def film(recording: Recording, folder: Path) -> None:
-    """Renders the shots one after the other, a small film of every half second, and a sheet of every twelve seconds."""
+    """Render the shots one after the other, a small film of every half second, and a sheet of every twelve seconds."""
     replay = Replay(recording, light="baked")
     for name, text in CAMERAS.items():
         (folder / f"{name}.toml").write_text(text)

@@ -47,7 +47,7 @@ class PointGoalSpec(TaskSpec):
 
 
 def drive_to_goal(view: AgentView, base: Any, *, look_ahead_m: float = 0.3) -> Velocity:
-    """A policy is a function: here along the shortest path, waiting while a person is in the way."""
+    """Return the velocity along the shortest path, waiting while a person is in the way."""
     ahead = view.free.next_waypoint(view.xz, view.extra["goal"], beyond_m=look_ahead_m)
     dx, dz = ahead - view.xz
     error = float(wrap_angle(np.arctan2(-dz, dx) - view.heading))

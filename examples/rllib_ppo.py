@@ -20,7 +20,9 @@ import h3data
 
 
 def make_env(config: dict[str, Any]) -> Any:
-    """One environment, for its spaces, or ``num_envs`` worlds; observations are one vector, as RLlib's networks take them."""
+    """Return one environment, for its spaces, or ``num_envs`` worlds; observations are one vector, as RLlib's networks
+    take them.
+    """
     return h3data.make(
         config["task"], config["scenes"], num_envs=config.get("num_envs"), flatten=True, **config["options"]
     )

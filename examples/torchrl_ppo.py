@@ -24,7 +24,7 @@ import h3data
 
 
 def make_env(task: str, scenes: Any, worlds: int, **options: Any) -> TransformedEnv:
-    """All numbers that the agent observes as one vector, in all worlds at once."""
+    """Return all numbers that the agent observes as one vector, in all worlds at once."""
     env = GymWrapper(h3data.make(task, scenes, num_envs=worlds, autoreset_mode="DISABLED", **options))
     numbers = [key for key, spec in env.observation_spec.items() if spec.ndim == 2]
     joined = CatTensors(in_keys=numbers, out_key="observation", del_keys=False)
@@ -32,7 +32,7 @@ def make_env(task: str, scenes: Any, worlds: int, **options: Any) -> Transformed
 
 
 def make_networks(env: TransformedEnv) -> tuple[ProbabilisticActor, ValueOperator]:
-    """An actor and a critic, with a hidden layer each."""
+    """Return an actor and a critic, with a hidden layer each."""
     width, actions = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
     mean_and_scale = nn.Sequential(nn.Linear(width, 64), nn.Tanh(), nn.Linear(64, 2 * actions), NormalParamExtractor())
     actor = ProbabilisticActor(

@@ -23,7 +23,7 @@ LAMBDA, CLIP, ENTROPY, RATE = 0.95, 0.2, 0.002, 1e-3
 
 
 class Learner(nn.Module):
-    """Actor, critic, and what observations are normalised by."""
+    """Actor and critic networks, with the normalisation of observations."""
 
     def __init__(self, inputs: int, actions: int = 2) -> None:
         super().__init__()
@@ -58,7 +58,7 @@ def flat(observation: dict[str, Tensor]) -> Tensor:
 
 
 def roll_out(env: Any, learner: Learner, generator: torch.Generator, x: Tensor) -> tuple[dict[str, Tensor], Tensor]:
-    """Collects `ROLLOUT` steps, arrays [T, W, ...], and returns them with the observation that follows."""
+    """Collect `ROLLOUT` steps, arrays [T, W, ...], and returns them with the observation that follows."""
     rows = []
     for _ in range(ROLLOUT):
         begins, before, chosen = env.play.ended.clone(), env.play.followed.clone(), learner.policy(x)

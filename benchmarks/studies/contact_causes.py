@@ -31,7 +31,9 @@ METRICS = ("S", "SPS", "F", "CR", "BYR", "TD", "FD")
 
 
 def turns_then_drives(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The heuristic expert, but it approaches as Habitat's navigation skill: it turns on the spot or drives at full speed."""
+    """Return the heuristic expert, but it approaches as Habitat's navigation skill: it turns on the spot or drives at
+    full speed.
+    """
     if not np.isfinite(view.geodesic_m) or view.geodesic_m <= EXPERT.keep_distance_m:
         return heuristic_expert(view, spec)
     dx, dz = next_waypoint(view, spec) - view.robot_xz
@@ -43,7 +45,9 @@ def turns_then_drives(view: SocialNavView, spec: BaseSpec) -> Velocity:
 
 
 def backs_at_full_speed(view: SocialNavView, spec: BaseSpec) -> Velocity:
-    """The heuristic expert, but within 1.5 m it always backs at full speed, where the other only restores the distance."""
+    """Return the heuristic expert, but within 1.5 m it always backs at full speed, where the other only restores the
+    distance.
+    """
     told = heuristic_expert(view, spec)
     return told._replace(forward=-1.0) if told.forward < 0 else told
 
@@ -57,7 +61,7 @@ class Variant(NamedTuple):
 
 
 BEFORE = {"robot": HOME_BASE, "human": HOME_WALKER, "person_contact": "body"}
-"""What `--rules paper` was before its causes were known: each variant changes it."""
+"""Rules before the causes of contacts were known, which each variant changes."""
 PAPER_BASE, PAPER_WALKER, BONES = {"robot": BaseSpec()}, {"human": WalkerSpec()}, {"person_contact": "bones"}
 OWN = "benchmarks.studies.contact_causes:"
 VARIANTS = {
@@ -88,8 +92,9 @@ VARIANTS = {
 
 
 def contact_of(recording: Recording) -> dict[str, float]:
-    """Returns of the step of the contact whether the robot was told to back, whether its base was against an obstacle, and the
-    speed at which the person came nearer [m/s]."""
+    """Return of the step of the contact whether the robot was told to back, whether its base was against an obstacle,
+    and the speed at which the person came nearer [m/s].
+    """
     robot, person = (recording.agent_column(k, "base_pose")[-2:, [0, 2]].astype(np.float64) for k in (0, 1))
     towards = person[0] - robot[0]
     towards /= max(float(np.hypot(*towards)), 1e-9)
@@ -101,7 +106,7 @@ def contact_of(recording: Recording) -> dict[str, float]:
 
 
 def play(job: Any, variant: Variant) -> dict[str, float]:
-    """Returns the metrics of one episode, and of its contact if it ends in one."""
+    """Return the metrics of one episode, and of its contact if it ends in one."""
     spec = replace(job.spec, **{**BEFORE, **variant.rules})
     recording = replace(job, spec=spec, policy=variant.policy).record()
     values = measure(recording).to_dict()["values"]
@@ -110,7 +115,7 @@ def play(job: Any, variant: Variant) -> dict[str, float]:
 
 
 def summary(rows: list[dict[str, float]]) -> dict[str, Any]:
-    """Returns the means over episodes, with the 95% interval of CR, and shares of contacts."""
+    """Return the means over episodes, with the 95% interval of CR, and shares of contacts."""
     means: dict[str, Any] = {name: float(np.nanmean([row[name] for row in rows])) for name in METRICS}
     hits = [row for row in rows if "at_wall" in row]
     means["CR_interval"] = [float(v) for v in wilson_interval(len(hits), len(rows))]
@@ -127,7 +132,7 @@ _KINDS: Mapping[str, Callable[[dict[str, float]], bool]] = {
 
 
 def main() -> None:
-    """Plays and prints, one line of JSON for each variant and then a table."""
+    """Play and prints, one line of JSON for each variant and then a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", default="h3-homes/val", help="homes, as for h3data evaluate")
     parser.add_argument("--homes", type=int, default=12, help="number of homes of a preset")

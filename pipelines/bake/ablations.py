@@ -1,12 +1,12 @@
-"""Trains the rows of the paper's table of ablations on equal decisions, several runs at once, and evaluates them.
+"""Script that trains and evaluates the rows of the paper's table of ablations, several runs at once.
 
     PYTHONPATH=$PWD:$PWD/pipelines:$PWD/viewers python -m bake.ablations OUT --updates 717 --gpus 2 --at-once 3
 
-trains every row with every seed under every set of rules for the same number of updates, with the same worlds and rollouts.
-OUT/RULES/ROW.SEED is the folder of a run of ``h3data train social_nav``, ROW.SEED.log what it said. When all runs of a set
-of rules are over, one ``h3data evaluate`` of them writes OUT/RULES/table. The same command goes on where it was: after its
-``--seconds``, after Ctrl-C or SIGTERM, which let runs save, and after kill -9, which takes the runs along and loses the half
-minute since their last checkpoints.
+trains every row with every seed under every set of rules for the same number of updates, with the same worlds and
+rollouts. OUT/RULES/ROW.SEED is the folder of a run of ``h3data train social_nav``, and ROW.SEED.log is its output. When
+all runs of a set of rules have ended, one ``h3data evaluate`` of them writes OUT/RULES/table. The same command
+continues where it stopped: after its ``--seconds``, after Ctrl-C or SIGTERM, at which runs save their state, and after
+kill -9, which loses the half minute since their last checkpoints.
 """
 
 from __future__ import annotations
@@ -41,14 +41,15 @@ ROWS: dict[str, tuple[str, ...]] = {
     "no_detector": (DEPTH, GPS),
     "no_depth": (DETECTOR, GPS),
 }
-"""Observations of each row. The slowest comes first, so that no GPU waits for it at the end."""
+"""Observations of each row, the slowest row first, so that no GPU waits for it at the end."""
 H3DATA = (sys.executable, "-m", "h3data_pipelines.cli")
 SETUP_S, GRACE_S = 120.0, 20.0
-"""Time without which no run begins, since its set-up alone would take it, and time that a run has to save itself [s]."""
+"""Remaining time below which no run starts, because its set-up alone needs it, and time that a run has to save itself
+[s]."""
 LOOK_S = 0.1
-"""Time between two looks at what has ended [s]."""
+"""Interval at which ended runs are detected [s]."""
 TRIES = 3
-"""Number of times that a run is started in one call if it dies of a signal; one that fails otherwise would fail again."""
+"""Number of times that a run is started in one call if a signal kills it; a run that fails otherwise is not repeated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,11 +59,11 @@ class Ablations:
     out: tyro.conf.Positional[Path]
     """Folder of the runs."""
     updates: int
-    """Updates of every run."""
+    """Number of updates of every run."""
     rows: tuple[str, ...] = tuple(ROWS)
-    """Rows of the table."""
+    """Names of the rows of the table."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Seeds of training of every row."""
+    """Training seeds of every row."""
     rules: tuple[Literal["natural", "paper"], ...] = ("natural", "paper")
     """Sets of rules under which all rows are trained and evaluated."""
     gpus: int = 0
@@ -70,13 +71,13 @@ class Ablations:
     at_once: int = 3
     """Number of runs at once on each GPU, or on the CPU."""
     size: str = "96x72"
-    """Size of the pictures in colour, which are in baked light."""
+    """Size of colour pictures, which have baked light."""
     train: str = "--recipe fast"
-    """More options of h3data train, the same for all rows: --train="--recipe fast --worlds 2048"."""
+    """Additional options of h3data train for all rows, such as --train="--recipe fast --worlds 2048"."""
     seconds: float | None = None
-    """Duration of this call; runs that are not over are saved, and the next call goes on."""
+    """Time limit of this call [s]; unfinished runs are saved, and the next call continues them."""
     evaluate: str = "--scenes h3-homes/test --episodes 150"
-    """Options of h3data evaluate, as for --train; empty evaluates nothing."""
+    """Options of h3data evaluate, given like --train; empty for no evaluation."""
 
     def __post_init__(self) -> None:
         unknown = [row for row in self.rows if row not in ROWS]
@@ -87,14 +88,14 @@ class Ablations:
             )
 
     def runs(self) -> list[Run]:
-        """Return all runs: those of the slowest row first, of each row those of the first seed."""
+        """Return all runs, ordered by row (the slowest first) and then by seed."""
         ordered = [row for row in ROWS if row in self.rows]
         return [
             Run(self.out / rules / f"{row}.{seed}") for row in ordered for seed in self.seeds for rules in self.rules
         ]
 
     def command(self, run: Run, *, stop_after_s: float | None) -> list[str]:
-        """Return the command that trains a run, or goes on with it."""
+        """Return the command that trains a run or continues it."""
         colour = ["--light", "baked", "--size", self.size] if "arm_rgb" in ROWS[run.row] else []
         options = [*shlex.split(self.train), "--observations", ",".join(ROWS[run.row]), *colour]
         options += ["--rules", run.rules, "--seed", str(run.seed), "--updates", str(self.updates)]
@@ -120,10 +121,10 @@ class Ablations:
 
 @dataclass(frozen=True)
 class Run:
-    """A run of one row with one seed under one set of rules."""
+    """Training run of one row with one seed under one set of rules."""
 
     folder: Path
-    """Folder RULES/ROW.SEED."""
+    """Folder RULES/ROW.SEED of the run."""
 
     @property
     def row(self) -> str:
@@ -146,7 +147,7 @@ class Run:
         return f"{self.rules}/{self.folder.name}"
 
     def updates(self) -> int:
-        """Return the updates of which the saved policy is the result; 0 if there is none."""
+        """Number of updates of the saved policy; 0 if there is none."""
         if not (self.folder / RUN_POLICY).exists():
             return 0
         return int(json.loads(str(read_arrays(self.folder / RUN_POLICY)[1]["card"]))["training"]["updates"])
@@ -251,7 +252,7 @@ def _summary(run: Run, code: int) -> str:
 
 
 def main(options: Ablations, say: Callable[[str], None] = lambda line: print(line, flush=True)) -> int:  # noqa: T201
-    """Train, evaluate, and return 0 if everything is done, 1 if something is left to the next call."""
+    """Train and evaluate; return 0 if everything is done, and 1 if the next call has to continue."""
     processes = _Processes(options, say)
     left = processes.train()
     if left:

@@ -1,6 +1,6 @@
-"""Adds results of ``h3data benchmark run`` to the baselines of their benchmarks, in place of earlier rows of the same policies.
+"""Script that adds results of ``h3data benchmark run`` to the baselines of their benchmarks.
 
-Check them with ``h3data benchmark verify`` before.
+The results replace earlier rows of the same policies. Check them with ``h3data benchmark verify`` first.
 
 python -m bake.benchmark_baselines out/RESULT...
 """
@@ -18,7 +18,7 @@ from h3data_pipelines.benchmark.result import read_result
 
 
 def main(*folders: str) -> None:
-    """Writes the file of baselines of each result's benchmark."""
+    """Write the file of baselines of each result's benchmark."""
     for folder in folders:
         result = read_result(Path(folder))
         if not result.is_complete:

@@ -1,6 +1,6 @@
-"""Writes the list of episodes of a benchmark: ``python -m bake.benchmark_episodes datasets/benchmarks/NAME@VERSION``.
+"""Write a benchmark's episodes: ``python -m bake.benchmark_episodes datasets/benchmarks/NAME@VERSION``.
 
-Only for a new version: the list of one that is published never changes.
+Use it only for a new version, because the list of a published version never changes.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from h3data_pipelines.benchmark.definition import EPISODES, FORMAT, list_episode
 
 
 def main(folder: Path) -> None:
-    """Writes ``episodes.json`` beside ``benchmark.toml``."""
+    """Write ``episodes.json`` beside ``benchmark.toml``."""
     benchmark = read_benchmark(folder)
     if (folder / EPISODES).exists():
         raise SystemExit(f"{folder / EPISODES} exists. Remove it first if this version was never published.")

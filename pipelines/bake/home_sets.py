@@ -32,16 +32,17 @@ from sim_kinematic.tasks.rearrange.task import Rearrange
 log = logging.getLogger(__name__)
 
 LEAST_M2, MOST_M2, LARGEST_M2 = 64.0, 420.0, 846.0
-"""The paper's smallest benchmark home has 69 m2, its largest 846; every split has one of that size."""
+"""Floor areas [m2] of the smallest home, of the largest but one, and of the largest, after the paper's benchmark homes
+(69 and 846 m2)."""
 MIDDLE_M2 = 136.0
-"""The paper's other benchmark home, from whose size on the homes of `h3-homes-large` are."""
+"""Floor area of the paper's other benchmark home [m2], the smallest in `h3-homes-large`."""
 TRIED_REARRANGEMENTS = 1
-"""Episodes of rearrangement that are drawn in a home of the second generation before it is taken."""
+"""Number of rearrangement episodes that must be sampled successfully in a home of the second generation."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Split:
-    """Content of a split (paper, appendix on scenes: 37 x 1,000, 12 x 100, 10 x 15)."""
+    """Number and sizes of the homes of a split (paper, appendix on scenes: 37 x 1,000, 12 x 100, 10 x 15)."""
 
     name: Literal["train", "val", "test"]
     homes: int
@@ -54,7 +55,7 @@ class Split:
     """Floor areas between which all homes but one lie; that one has `LARGEST_M2`."""
     generation: int = 1
     tried_episodes: int = 200
-    """At most so many are drawn in a home before it is taken."""
+    """Largest number of episodes that must be sampled successfully in a home before it is accepted."""
 
     @property
     def rules(self) -> SocialNavRules:
@@ -98,7 +99,7 @@ SETS = {
 
 # --- choosing ---------------------------------------------------------------------------------------------------------
 def wishes(split: Split) -> list[HomeSpec]:
-    """The homes that are wanted, smallest first; their seeds are 100 apart, so that each has some to spare."""
+    """Return the wanted homes, smallest first, with seeds 100 apart so that each has alternatives."""
     rng = np.random.Generator(np.random.Philox(split.first_seed))
     steps = (np.arange(split.homes - 1) + rng.uniform(0.2, 0.8, split.homes - 1)) / (split.homes - 1)
     least, most = split.sizes_m2
@@ -125,7 +126,7 @@ def wishes(split: Split) -> list[HomeSpec]:
 
 
 def chosen(split: Split) -> SceneSet:
-    """The split with the first sound home for every wish."""
+    """Return the split with the first home without faults for each wanted home."""
     entries: list[SceneEntry] = []
     for k, wish in enumerate(wishes(split)):
         for more in range(100):
@@ -175,7 +176,7 @@ def _fault(entry: SceneEntry, split: Split) -> str:
 
 
 def set_text(scenes: SceneSet) -> str:
-    """The TOML file of a set of homes."""
+    """Return the TOML file of a set of homes as text."""
     rules = scenes.social_nav
     lines = [
         "format = 1",
@@ -204,7 +205,7 @@ def set_text(scenes: SceneSet) -> str:
 
 # --- the card ---------------------------------------------------------------------------------------------------------
 def tables(splits: tuple[Split, ...]) -> dict[str, str]:
-    """The measured parts of the card: per split, and per home."""
+    """Return the measured tables of the card, per split and per home."""
     heads = ("scene", "floor m2", "free m2", "rooms", "receptacles", "small things", "triangles")
     keys = ("floor_m2", "free_m2", "rooms", "receptacles", "movable", "triangles")
     overview = [_line("split", "scenes", "episodes", "starts apart", *heads[1:]), _rule(10)]
@@ -235,7 +236,7 @@ def _number(value: float) -> str:
 
 
 def updated_card(text: str, parts: dict[str, str]) -> str:
-    """The card with its tables replaced: what stands between ``<!-- name -->`` and ``<!-- end -->``."""
+    """Return the card with the texts between ``<!-- name -->`` and ``<!-- end -->`` replaced."""
     for name, table in parts.items():
         text, count = re.subn(
             f"(<!-- {name} -->\n).*?(<!-- end -->)", lambda m, t=table: f"{m[1]}{t}\n{m[2]}", text, flags=re.DOTALL
@@ -245,7 +246,7 @@ def updated_card(text: str, parts: dict[str, str]) -> str:
 
 
 def main() -> None:
-    """Chooses homes if asked to, and writes the tables of the card."""
+    """Choose homes if requested, and write the tables of the card."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--choose", action="store_true", help="pick the homes anew")

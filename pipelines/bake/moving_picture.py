@@ -20,14 +20,14 @@ from h3data.replay import Replay, camera_track
 from h3data_pipelines.pictures.rendering import draw_trajectories
 
 SIZE = (832, 468)
-"""Width and height of the third-person picture [px]; the robot's depth and the map stand to its right, half as high."""
+"""Width and height of the third-person picture [px]; the robot's depth and the map are to its right, half as high."""
 GAP = 4
 EVERY, FRAMES, MILLISECONDS = 3, 120, 100
-"""A frame every 3 steps, 12 s of life, shown in real time."""
+"""Number of steps per frame, number of frames, and duration of a frame [ms]: 12 s in real time."""
 
 
 def main(recording: Path, first: int, out: Path) -> None:
-    """Renders a looping WebP of three cameras, with smooth edges, from step ``first`` on."""
+    """Render a looping WebP of three cameras, with smooth edges, from step ``first`` on."""
     replay = Replay(open_episode(recording), light="baked")
     side = ((SIZE[1] - GAP) // 2 * 4 // 3, (SIZE[1] - GAP) // 2)
     stage, renderer = replay.stage, replay.stage.renderer()

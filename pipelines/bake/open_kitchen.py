@@ -20,11 +20,11 @@ from h3data_light.bake import lit_scene
 
 SEEDS, WIDTH, HEIGHT, GAP = (0, 2), 640, 560, 6
 EYE_M, BACK_M, ASIDE_M = 1.75, 2.4, 0.9
-"""Height of the camera, and how far it is from the fronts and to the side."""
+"""Height of the camera, and its distances from the fronts and to the side [m]."""
 
 
 def picture(scene: Scene, camera: Camera) -> NDArray[np.uint8]:
-    """A scene with baked light, RGB [H, W, 3]."""
+    """Return a picture of a scene with baked light, RGB [H, W, 3]."""
     meshes = [scene.assets[i.asset].mesh for i in scene.instances]
     instances = [
         RenderInstance(mesh=k, matrix=instance_matrix(i), layer=i.layer, name=i.name)
@@ -36,7 +36,7 @@ def picture(scene: Scene, camera: Camera) -> NDArray[np.uint8]:
 
 
 def view_of(scene: Scene) -> Camera:
-    """A camera before the row of cupboards beside the fridge."""
+    """Return a camera in front of the row of cupboards next to the fridge."""
     heads = [float(2 * np.arctan2(thing.pose[4], thing.pose[6])) for thing in scene.articulations]
     row = [
         thing.pose[:3]
@@ -49,7 +49,7 @@ def view_of(scene: Scene) -> Camera:
 
 
 def main(path: str) -> None:
-    """Renders the kitchens and writes the picture."""
+    """Render the kitchens and writes the picture."""
     rows = []
     for seed in SEEDS:
         scene = build_home(HomeSpec(seed=seed, articulated=True))

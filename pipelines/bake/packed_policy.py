@@ -1,8 +1,8 @@
-"""A policy file for the package: its arrays as planes of bytes, which take less room in the wheel.
+"""Script that packs a policy file as planes of bytes, which are smaller in the wheel.
 
-``python -m bake.packed_policy run/policy.npz datasets/policies/learn_pop.npz`` changes no number.
-``--rounded`` rounds weights to 11 significant bits too, which halves their size. That is another policy, if hardly, so its
-scores are to be measured.
+``python -m bake.packed_policy run/policy.npz datasets/policies/learn_pop.npz`` changes no number. ``--rounded`` also
+rounds weights to 11 significant bits, which halves their size. The policy then differs slightly, so its scores must be
+measured again.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ DROPPED_BITS = 13
 
 
 def rounded(weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The nearest numbers whose last `DROPPED_BITS` bits are 0, ties away from it."""
+    """Return the nearest numbers whose last `DROPPED_BITS` bits are 0, with ties away from zero."""
     bits = np.ascontiguousarray(weights).view(np.uint32) + np.uint32(1 << (DROPPED_BITS - 1))
     return (bits & np.uint32(0xFFFFFFFF << DROPPED_BITS & 0xFFFFFFFF)).view(np.float32)
 
 
 def main(source: Path, out: Path, *, rounding: bool) -> None:
-    """Writes the packed policy file, with rounded weights if asked to."""
+    """Write the packed policy file, with rounded weights if requested."""
     _, arrays = read_arrays(source)
     packed = {}
     for name, array in arrays.items():

@@ -22,7 +22,7 @@ UPDATES = 100
 
 
 def main(file: Path, demonstrations: float) -> None:
-    """Trains and writes a row for each update."""
+    """Train the policy and write a row for each update."""
     import torch
 
     torch.set_num_threads(1)

@@ -42,13 +42,13 @@ ROBOTS = {
 }
 """Titles by run, in the order of the rows; other runs come last under their own names."""
 SHOWN = (("train", "SR"), ("train", "RE"), ("zsc", "SR"), ("zsc", "RE"), ("zsc", "CR"), ("zsc", "RC"))
-"""Columns: partners and metric."""
+"""Columns of the table as partners and metric."""
 TITLES = {"train": "train-pop", "zsc": "ZSC"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeedResults:
-    """All plays of the robot of one training seed."""
+    """Results of the robot of one training seed."""
 
     run: str
     seed: int
@@ -57,11 +57,11 @@ class SeedResults:
     plays: tuple[dict[str, Any], ...]
     """Rows of ``h3data evaluate``."""
     missing: int
-    """Plays that raised."""
+    """Number of plays that failed with an error."""
 
 
 def read_results(folder: Path) -> SeedResults:
-    """The results in a folder ``RUN.SEED`` of a finished evaluation.
+    """Return the results in a folder ``RUN.SEED`` of a finished evaluation.
 
     Raises:
         FormatError: the folder has no table of ``h3data evaluate``, or the table is of another task.
@@ -84,7 +84,7 @@ def read_results(folder: Path) -> SeedResults:
 
 
 def learned_beside(run: str, seed: int) -> Callable[[str], bool]:
-    """Returns whether a partner, by its name in the evaluation, is of the population that a robot was trained with."""
+    """Return whether a partner, by its name in the evaluation, is of the population that a robot was trained with."""
     population = run.partition("_no_")[0].removesuffix("_learned_skills")
     if population in POPULATIONS:
         return lambda partner: partner in POPULATIONS[population]
@@ -93,7 +93,7 @@ def learned_beside(run: str, seed: int) -> Callable[[str], bool]:
 
 
 def values_of(results: Sequence[SeedResults], metric: Metric, partners: str) -> NDArray[np.float64]:
-    """Means over partners of a metric by seed and episode, [S, E]; NaN where it is undefined.
+    """Return means over partners of a metric by seed and episode, [S, E]; NaN where it is undefined.
 
     Args:
         results: Results of one run, by seed.
@@ -116,10 +116,10 @@ def values_of(results: Sequence[SeedResults], metric: Metric, partners: str) -> 
 
 
 def crossed_interval(values: NDArray[np.float64], *, binary: bool) -> tuple[float, float, float]:
-    """Mean of ``values`` [S, E] and its 95% interval over seeds and episodes.
+    """Return mean of ``values`` [S, E] and its 95% interval over seeds and episodes.
 
-    Where all values of a metric of 0 and 1 are the same, a bootstrap has no width: there it is Wilson's interval of as many
-    trials as there are episodes.
+    Where all values of a metric of 0 and 1 are the same, a bootstrap has no width: there it is Wilson's interval of as
+    many trials as there are episodes.
     """
     defined = ~np.isnan(values)
     if not defined.any():
@@ -138,7 +138,7 @@ def crossed_interval(values: NDArray[np.float64], *, binary: bool) -> tuple[floa
 
 
 def markdown(out: Path) -> str:
-    """The tables of all folders ``WALK/RUN.SEED`` in a folder, those of unfinished evaluations left out and named.
+    """Return tables of all folders ``WALK/RUN.SEED`` in a folder; unfinished evaluations are only named.
 
     Raises:
         InputError: no evaluation in the folder is finished.

@@ -1,4 +1,4 @@
-"""Recordings in the formats of other tools: CSV tables, Foxglove, glTF, LeRobot, Minari, robomimic."""
+"""Export of recordings to the formats of other tools: CSV, Foxglove, glTF, LeRobot, Minari and robomimic."""
 
 from h3data.formats import Format
 

@@ -1,4 +1,4 @@
-"""Recordings as CSV tables, for spreadsheets and R, and as NumPy arrays."""
+"""Export of recordings as CSV tables for spreadsheets and R, and as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -37,13 +37,14 @@ _POSE7 = ("x", "y", "z", "qx", "qy", "qz", "qw")
 def write_csv_tables(recording: Recording, folder: str | Path) -> list[Path]:
     """Write `FILES` into an existing folder and return their paths.
 
-    - ``steps.csv``: a row per step; every column of the recording with at most 64 numbers, one CSV column each, named by
+    - ``steps.csv``: a row per step; every column of the recording with at most 64 numbers, one CSV column each, named
+      by
       joints and actions where these are known (``agent_0.joint_pos.<joint>``).
     - ``object_pose.csv``: a row per step and moving body that was there.
     - ``bodies.csv``, ``agents.csv``, ``skills.csv``, ``events.csv``, ``inputs.csv``: the records.
     - ``columns.npz``: every column exactly, under its own name; ``recording.json``: the episode and the names.
 
-    Numbers in CSV have all digits: float32 values come back bit for bit. Not a number is an empty field.
+    Numbers in CSV have all digits, so that float32 values can be read back bit for bit. NaN is an empty field.
     """
     folder = Path(folder)
     time_s = recording.columns["time_ns"].astype(np.float64) * 1e-9

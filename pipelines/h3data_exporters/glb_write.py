@@ -1,9 +1,8 @@
-"""Writing of meshes as GLB (glTF 2.0 binary) with colours in materials, which every viewer and habitat-sim shows.
+"""Writer of meshes as GLB (glTF 2.0 binary) with colours in materials, which all viewers and habitat-sim show.
 
-`h3data.scene.save_scene` keeps scenes exactly, with vertex colours. Many programs, habitat-sim's PBR shader among them,
-drop vertex colours of meshes that have a material; files for other programs are therefore written here: colours of
-triangles without a texture go into a small palette image, triangles with a texture get one material per pair of texture
-and colour.
+Many programs, such as habitat-sim with its PBR shader, ignore vertex colours of meshes that have a material. This
+module therefore stores colours of triangles without a texture in a small palette image. Triangles with a texture get
+one material per pair of texture and colour. `h3data.scene.save_scene` stores scenes exactly, with vertex colours.
 """
 
 from __future__ import annotations
@@ -30,16 +29,16 @@ _BLOCK_PX = 4
 """Side of the square of one colour in the palette: viewers that make mipmaps get two levels without bleeding."""
 
 MAX_LOOKS = 32
-"""Number of pairs of texture and colour that one mesh may have."""
+"""Largest number of pairs of texture and colour of one mesh."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GlbNode:
-    """Mesh at its place in the file's frame."""
+    """Mesh with its pose in the file."""
 
     name: str
     mesh: int
-    """Index into the meshes of the file."""
+    """Index of the mesh in the file."""
     pose: NDArray[np.float64] = field(default_factory=IDENTITY_POSE.copy)
     """Pose (pose7) of the mesh, shape [7]."""
     scale: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
@@ -49,7 +48,7 @@ class GlbNode:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Influences:
-    """The joints of a skin that move each vertex of a mesh, and their weights."""
+    """Joints of a skin that move each vertex of a mesh, with their weights."""
 
     joints: NDArray[np.uint8]
     """Indices into the joints of the skin, shape [V, 4]."""
@@ -60,11 +59,12 @@ class Influences:
 def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) -> bytes:
     """Return a GLB with ``nodes`` (default: one per mesh); the same meshes give the same bytes.
 
-    A mesh of several looks is a node with one child per look.
+    A mesh with several materials is a node with one child per material.
 
-    Positions, texture coordinates and textures are exact. Colours are exact where a triangle has a single one; a triangle
-    whose corners differ gets their mean. If a mesh shows its textures in more than `MAX_LOOKS` colours, as a floor of
-    boards may, similar colours are replaced by their mean: every pair of texture and colour costs a draw call.
+    Positions, texture coordinates and textures are exact. Colours are exact where a triangle has a single one; a
+    triangle whose corners differ gets their mean. If a mesh shows its textures in more than `MAX_LOOKS` colours, such
+    as a floor of boards, similar colours are replaced by their mean, because every pair of texture and colour costs a
+    draw call.
     """
     if nodes is None:
         nodes = [GlbNode(name=f"part_{k}", mesh=k) for k in range(len(meshes))]
@@ -110,12 +110,12 @@ def _one_primitive_each(meshes: list[dict[str, Any]]) -> tuple[list[dict[str, An
 def mesh_lists(
     chunk: GlbChunk, meshes: Sequence[Mesh], influences: Mapping[int, Influences] | None = None
 ) -> dict[str, Any]:
-    """Return the members of a glTF document that hold meshes and their materials; their arrays go into ``chunk``.
+    """Return the glTF members with meshes and materials, after adding their arrays to ``chunk``.
 
     Args:
-        chunk: the chunk of the file.
-        meshes: at least one.
-        influences: those of the meshes that follow a skin, by index.
+        chunk: binary chunk of the file.
+        meshes: meshes to write, at least one.
+        influences: joints and weights of the skinned meshes, by index.
     """
     split = [_one_color_per_triangle(mesh) for mesh in meshes]
     plain = [m.colors[m.faces[face_texture_indices(m) < 0].ravel()] for m, _ in split]

@@ -1,4 +1,4 @@
-"""Recordings as glTF 2.0 animations: one GLB with everything in the scene, moving, for three.js, Blender and others."""
+"""Export of recordings as glTF 2.0 animations: one GLB of the moving scene, for three.js, Blender and others."""
 
 from __future__ import annotations
 
@@ -39,15 +39,17 @@ class GltfAnimationFile:
 def write_gltf_animation(
     recording: Recording, parts: Sequence[PosedPart], path: str | Path, *, cameras: Sequence[PosedCamera] = ()
 ) -> GltfAnimationFile:
-    """Write a ``.glb``: one animation whose keys are the recorded steps, time 0 at the first.
+    """Write a ``.glb`` file with one animation, whose key frames are the recorded steps from time 0 on.
 
-    - Nodes are named as the things are; those of an agent lie below a node with its name. The world is +Y up, metres.
+    - Nodes have the names of the objects; those of an agent are below a node with its name. The world is +Y up, in
+      metres.
     - Robots are their links, each moving in the world. People are skinned, their joints a tree of nodes.
-    - What was not there at a step has scale 0 then: glTF has no other way to hide it.
+    - Absent objects have scale 0, because glTF has no other method to hide them.
     - Cameras are glTF cameras; one that is absent at times stays where it was.
 
-    ``extras`` of the file hold uid, task and scene of the episode; those of a node its semantic id and whether its file
-    was missing (it is drawn as a placeholder). ``parts`` and ``cameras`` come from `h3data_exporters.posing`.
+    The ``extras`` of the file have the uid, task and scene of the episode. Those of a node have its semantic id, and
+    whether its file was missing (it is then a placeholder). ``parts`` and ``cameras`` come from
+    `h3data_exporters.posing`.
 
     Raises:
         InputError: there is no row to write, or the name does not end in .glb.

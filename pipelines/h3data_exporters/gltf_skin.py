@@ -17,7 +17,7 @@ Node = dict[str, Any]
 
 
 def skinned_glb_bytes(mesh: Mesh, skeleton: Skeleton) -> bytes:
-    """Return a GLB of one mesh in its rest pose, with its skin and joints, to be posed by other programs."""
+    """Return a GLB of one mesh in its rest pose with its skin and joints, so that other programs can pose it."""
     chunk = GlbChunk()
     rest = np.linalg.inv(skeleton.inverse_bind)
     # nodes are posed by quaternions, which have no scale
@@ -31,7 +31,7 @@ def skinned_glb_bytes(mesh: Mesh, skeleton: Skeleton) -> bytes:
 
 
 def add_joints(nodes: list[Node], skeleton: Skeleton, local: Array) -> list[int]:
-    """Append one node for each joint, posed by ``local`` [J, 7] in its parent; returns those without a parent."""
+    """Append a node for each joint, with the pose ``local`` [J, 7] in its parent; return the root joints."""
     first = len(nodes)
     nodes += [{"name": name, **trs(pose)} for name, pose in zip(skeleton.names, local, strict=True)]
     roots = []
@@ -44,7 +44,7 @@ def add_joints(nodes: list[Node], skeleton: Skeleton, local: Array) -> list[int]
 
 
 def skin_record(chunk: GlbChunk, skeleton: Skeleton, *, first: int) -> dict[str, Any]:
-    """Return a skin whose joints are the nodes from ``first`` on."""
+    """Return a skin record whose joints are the nodes from index ``first`` on."""
     # glTF has matrices column by column
     columns = skeleton.inverse_bind.swapaxes(1, 2).reshape(-1, 16).astype("<f4")
     # exactly, as validators ask for: inverting leaves rounding there
@@ -54,7 +54,7 @@ def skin_record(chunk: GlbChunk, skeleton: Skeleton, *, first: int) -> dict[str,
 
 
 def local_poses(world: Array, parents: Sequence[int]) -> Array:
-    """Return poses (pose7) [T, J, 7] of joints in their parents' frames, from poses in the world."""
+    """Return the poses of joints in their parents' frames, [T, J, 7], from world poses."""
     matrices = pose_to_matrix(world)
     local = world.copy()
     has = np.flatnonzero(np.asarray(parents) >= 0)

@@ -1,4 +1,4 @@
-"""Recordings as a LeRobot v3.0 dataset for training: our dataset with the columns that LeRobot's policies require."""
+"""Export of recordings as a LeRobot v3.0 dataset, with the columns that LeRobot's policies require."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from h3data.terminal import counted
 from h3data_exporters.transitions import SUCCESS_EVENTS, transitions_of
 
 VideosOf = Callable[[int, Recording], AbstractContextManager[Sequence[EpisodeVideo]]]
-"""Function that returns the videos of an episode by number, of all its steps but the last; their files may be deleted
-at the end of the block."""
+"""Function that returns a context manager of an episode's videos, by number. They have all steps but the last, and
+their files may be deleted at the end of the block."""
 
 
 def write_lerobot(
@@ -42,16 +42,15 @@ def write_lerobot(
     videos_of: VideosOf | None = None,
     light: LightMode = "baked",
 ) -> int:
-    """Write a dataset of transitions (`transitions_of`) into a folder; returns the number of episodes.
+    """Write a dataset of transitions (`transitions_of`) to a folder and return the number of episodes.
 
-    Beside the columns of the recording, which stay as they are (h3data docs format) but for ``sim.*`` and ``state_hash`` (the
-    simulator's own, and LeRobot's loader fails on unsigned 64-bit numbers), each frame has ``observation.state``
-    (the agent's base pose, joints, ...), ``action`` (what it did in that state), ``next.reward``, ``next.done`` and
-    ``next.success``. Rows without an action after them, the last of each episode, are left out; events there belong to
-    the frame before, and skills end with it.
-    ``meta/h3data.json`` says what an environment has to show to a policy that learns from it (`Demonstrations`).
-    ``light`` is that of videos whose recordings do not name it. ``recordings`` are gone through twice, first for the widest
-    columns: give a list, not a generator.
+    The columns of the recording are unchanged (h3data docs format), except that ``sim.*`` and ``state_hash`` are
+    omitted, because LeRobot's loader fails on unsigned 64-bit numbers. In addition, each frame has
+    ``observation.state`` (the agent's base pose, joints, ...), ``action`` (its action in that state), ``next.reward``,
+    ``next.done`` and ``next.success``. The last row of each episode, which no action follows, is omitted; its events
+    belong to the frame before, and skills end there. ``meta/h3data.json`` describes the observations that an
+    environment must give to a policy trained on the dataset (`Demonstrations`). ``light`` is the light of videos whose
+    recordings do not state it. ``recordings`` must be a list, not a generator, because they are read twice.
 
     Raises:
         InputError: there is no recording, one has no actions, or it does not fit the dataset.

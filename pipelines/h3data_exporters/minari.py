@@ -1,4 +1,4 @@
-"""Recordings as a Minari dataset for offline reinforcement learning (needs the extra ``h3data[minari]``)."""
+"""Export of recordings as a Minari dataset for offline reinforcement learning (needs the extra ``h3data[minari]``)."""
 
 from __future__ import annotations
 
@@ -18,19 +18,21 @@ from h3data.terminal import counted
 from h3data_exporters.transitions import check_alike, observations_of, transitions_of
 
 RULED_ENDS = ("success", "collision", "terminated")
-"""Words of ``info["ended"]`` for an episode that its rules ended: Minari's terminations. Any other end is a truncation."""
+"""Values of ``info["ended"]`` for an episode that its rules ended, which are Minari's terminations; others are
+truncations."""
 
 
 def write_minari(recordings: Iterable[Recording], folder: str | Path, *, agent: str | None = None) -> int:
-    """Write the transitions of one agent (`transitions_of`) of each recording as an episode; returns their number.
+    """Write the transitions of one agent (`transitions_of`) of each recording as an episode; return their number.
 
     The name of the folder is the dataset's id, such as ``walks-v0``. An episode of T rows has T observations
-    (`observations_of`, a dictionary of float32 arrays), T - 1 actions and rewards, and ``uid``, ``episode_id``, ``task``,
-    ``scene`` and ``instruction`` as metadata. An existing dataset in the folder is replaced.
+    (`observations_of`, a dictionary of float32 arrays), T - 1 actions and rewards, and ``uid``, ``episode_id``,
+    ``task``, ``scene`` and ``instruction`` as metadata. An existing dataset in the folder is replaced.
 
     Raises:
         MissingExtraError: Minari is not installed.
-        InputError: the name is no id, there is no recording, one has no actions, or they differ in their keys.
+        InputError: the folder's name is not a valid id, there is no recording, one has no actions, or they differ in
+            their keys.
     """
     try:
         import minari  # pyright: ignore[reportMissingImports]

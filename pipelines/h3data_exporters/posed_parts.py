@@ -1,4 +1,4 @@
-"""Parts of a recording, posed at every step, in the form for writers of other formats."""
+"""Parts of a recording, posed at every step, as input of the writers of other formats."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from h3data_exporters.glb_write import Influences
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Skeleton:
-    """The joints that deform a mesh. A vertex v goes to the sum of w_j J_j B_j v over its four joints."""
+    """Joints that deform a mesh: a vertex v moves to the sum of w_j J_j B_j v over its four joints."""
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
-    """Index of each joint's parent, which comes first; -1 = it has none, or none is known."""
+    """Index of each joint's parent, which precedes it; -1 if it has none or none is known."""
     poses: Array
-    """Poses (pose7) of the joints in the world, shape [T, J, 7]; NaN where the body was absent."""
+    """World poses (pose7) of the joints, shape [T, J, 7]; NaN while the body is absent."""
     scale: float = 1.0
     """Scale of the joint frames."""
     inverse_bind: Array
@@ -32,20 +32,20 @@ class Skeleton:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosedPart:
-    """Visible part of a scene."""
+    """Visible part of a recorded scene, with its poses over time."""
 
     name: str
     mesh: Mesh
-    """Mesh in its own frame [m]; that of a body with a skeleton in the rest pose."""
+    """Mesh in its own frame [m], in the rest pose for a body with a skeleton."""
     poses: Array
-    """Pose (pose7) from mesh to world, shape [T, 7], or [1, 7] of a static part; NaN where it was absent. Of a part
-    with a skeleton, the pose of its root."""
+    """Pose7 from the mesh to the world, shape [T, 7], or [1, 7] for a static part; NaN while it is absent. For a part
+    with a skeleton, it is the pose of the root."""
     scale: Array = field(default_factory=lambda: np.ones(3))
     semantic_id: int = 0
     agent: int = -1
-    """Index of the agent of the part; -1 = none."""
+    """Index of the agent to which the part belongs; -1 if there is none."""
     body: Body | None = None
-    """Body of the recording that this part shows; None if it shows the model of its agent."""
+    """Body of the recording that the part shows; None for the model of an agent."""
     placeholder: bool = False
     """True if the file of the mesh was not found."""
     skeleton: Skeleton | None = None
@@ -53,11 +53,12 @@ class PosedPart:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosedCamera:
-    """A camera on an agent or a body."""
+    """Camera on an agent or a body, with its poses over time."""
 
     name: str
     poses: Array
-    """Poses (pose7) [T, 7] in the world: x right, y up, looking along -z, as Habitat and glTF have it; NaN where absent."""
+    """World poses (pose7), shape [T, 7], with x right, y up and view along -z, as in Habitat and glTF; NaN while
+    absent."""
     vfov_rad: float
     aspect: float
     """Width divided by height."""
@@ -65,7 +66,7 @@ class PosedCamera:
 
 
 def spans(there: Sequence[bool] | NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first step of each run of True in ``there`` [T], and the first step after it."""
+    """Return each run of True in ``there`` [T] as its first step and the step after its last one."""
     # with an edge on both sides, also runs at the ends have a beginning and an end
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(there, np.int8), [0]])))
     return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]

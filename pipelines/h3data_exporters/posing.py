@@ -1,4 +1,4 @@
-"""Recordings posed at all steps, part by part, for writers of foreign formats."""
+"""Posing of all parts of a recording at all steps, for the writers of other formats."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def posed_parts(replay: Replay, steps: NDArray[np.integer] | None = None) -> lis
 
 
 def posed_cameras(replay: Replay) -> list[PosedCamera]:
-    """Return the cameras of robots and people, and those that the recording carries."""
+    """Return the cameras of robots and people, and those that the recording contains."""
     cameras = []
     for name in camera_names(replay):
         # views that every replay has, which nobody carries
@@ -97,7 +97,7 @@ def posed_cameras(replay: Replay) -> list[PosedCamera]:
 
 
 def drawn_note(missing: Sequence[str], *, stand_ins: bool) -> str:
-    """Return `missing_note` for an export that writes stand-ins for missing things."""
+    """Return a note on missing asset files for an export that writes stand-ins for them."""
     if stand_ins:
         return missing_note(missing, "have built-in bodies and named boxes in their place")
     note = missing_note(missing, "are marked placeholders")
@@ -105,7 +105,7 @@ def drawn_note(missing: Sequence[str], *, stand_ins: bool) -> str:
 
 
 def missing_note(missing: Sequence[str], consequence: str) -> str:
-    """Return a line for people about asset files that were not found; empty if all were."""
+    """Return a note on missing asset files for users; empty if all files were found."""
     return f"\n{len(missing)} asset files were not found and {consequence}. Hint: --assets DIR" if missing else ""
 
 

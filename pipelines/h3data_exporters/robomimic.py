@@ -1,4 +1,4 @@
-"""Recordings as demonstrations in a robomimic HDF5 file (needs the extra ``h3data[robomimic]``)."""
+"""Export of recordings as demonstrations in a robomimic HDF5 file (needs the extra ``h3data[robomimic]``)."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from h3data_exporters.transitions import Transitions, check_alike, observations_
 
 
 def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent: str | None = None) -> int:
-    """Write the transitions of one agent (`transitions_of`) of each recording as ``data/demo_<n>``; returns their number.
+    """Write the transitions of one agent of each recording as ``data/demo_<n>``, and return their number.
 
     A demo holds ``actions`` [N, A], ``rewards``, ``dones`` (1 at the last step), ``states`` and the groups ``obs`` and
-    ``next_obs`` with the same keys: the agent's own (``base_pose``, ``joint_pos``, ...), ``object_pose`` (absent bodies as
-    zeros) and every other agent's place ``agent_<i>.base_pose``. Actions keep their units; robomimic wants -1..1 for
-    training, so normalise there (``action_config``).
+    ``next_obs`` with the same keys: the agent's own state (``base_pose``, ``joint_pos``, ...), ``object_pose`` (zeros
+    for absent bodies), and the pose ``agent_<i>.base_pose`` of every other agent. Transitions are those of
+    `transitions_of`. Actions keep their units. Robomimic needs -1..1 for training, so normalise there
+    (``action_config``).
 
     Raises:
         MissingExtraError: h5py is not installed.

@@ -1,7 +1,7 @@
-"""Recordings as training data: the observations, actions and rewards of an agent.
+"""Conversion of recordings to training data: the observations, actions and rewards of an agent.
 
-Row k of a recording is the state *after* action k. A learner pairs an observation with the action that is taken in it, so
-frame t is row t with the action of row t + 1, and an episode of T rows gives T - 1 frames.
+Row k of a recording is the state *after* action k. Training pairs an observation with the action that follows it, so
+frame t has row t and the action of row t + 1. An episode of T rows gives T - 1 frames.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from h3data.errors import InputError
 from h3data.recording.records import Agent, Recording
 
 SUCCESS_EVENTS = ("success", "found")
-"""Kinds of event that mean success: of rearrangement, and of finding the person in social navigation. An episode without
-one that is marked ``success`` in its info succeeds with its last action."""
+"""Kinds of events that mean success in rearrangement, and in finding the person in social navigation. An episode
+without such an event whose info states ``success`` succeeds with its last action."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,9 +26,10 @@ class Transitions:
 
     agent: int
     state: dict[str, NDArray[np.float32]]
-    """State of the agent's body before each action and after the last one: `base_pose`, `joint_pos`, ... [T, width]."""
+    """State of the agent's body before each action and after the last one (`base_pose`, `joint_pos`, ...), each [T,
+    width]."""
     state_names: tuple[str, ...]
-    """Names of all values of ``state``, one after the other."""
+    """Names of all values of ``state``, in order."""
     action: NDArray[np.float32]
     """Actions, shape [T - 1, A]."""
     action_names: tuple[str, ...]
@@ -40,15 +41,16 @@ class Transitions:
 
     @property
     def flat_state(self) -> NDArray[np.float32]:
-        """All values of ``state`` side by side, shape [T, S]."""
+        """Values of ``state``, concatenated, shape [T, S]."""
         return np.concatenate(list(self.state.values()), axis=1)
 
 
 def transitions_of(recording: Recording, *, agent: str | None = None) -> Transitions:
-    """Return the transitions of a named agent; by default of the first robot that acts, else of the first agent that does.
+    """Return the transitions of a named agent, or of the first robot or else agent that has actions.
 
     Raises:
-        InputError: nobody acts, nobody has that name, there are fewer than two steps, or an earlier export left out the last.
+        InputError: there are no actions, no agent has the name, there are fewer than two steps, or an earlier export
+            omitted the last step.
     """
     if recording.episode.is_lerobot_export:
         raise InputError(
@@ -80,10 +82,10 @@ def transitions_of(recording: Recording, *, agent: str | None = None) -> Transit
 
 
 def observations_of(recording: Recording, found: Transitions) -> dict[str, NDArray[np.float32]]:
-    """Compute everything that an agent observes in its transitions, [T, width] each.
+    """Return all observations of an agent in its transitions, each [T, width].
 
-    Its own state (``base_pose``, ``joint_pos``, ...), ``object_pose`` (absent bodies as zeros) and every other agent's place
-    ``agent_<i>.base_pose``.
+    They are its own state (``base_pose``, ``joint_pos``, ...), ``object_pose`` (zeros for absent bodies), and the pose
+    ``agent_<i>.base_pose`` of every other agent.
     """
     observed: dict[str, NDArray[np.float32]] = dict(found.state)
     for index in range(len(recording.agents)):
@@ -99,7 +101,7 @@ def observations_of(recording: Recording, found: Transitions) -> dict[str, NDArr
 def check_alike(
     shapes: dict[str, tuple[int, ...]], arrays: Mapping[str, NDArray[np.float32]], recording: Recording
 ) -> None:
-    """Refuse demonstrations that cannot be learned from together; ``shapes`` of the first one are filled in.
+    """Check that all demonstrations have equal arrays; the first call fills in their ``shapes``.
 
     Raises:
         InputError: names or widths of the arrays differ from those of the first one.

@@ -1,4 +1,4 @@
-"""Procedural homes: `build_home(HomeSpec(seed=7))` returns a furnished `Scene`, identical for identical specs.
+"""Procedural homes: `build_home(HomeSpec(seed=7))` returns a furnished `Scene`; equal specs give equal scenes.
 
 - `spec`: presets, categories, random streams; `build` runs the stages below
 - plan: `zoning`, `zoning_large` (rooms), `layout` (doors and windows)

@@ -1,4 +1,4 @@
-"""`build_home`: plan, structure, furniture and small objects assembled into one `Scene`."""
+"""Generation of a home with `build_home`: plan, structure, furniture and small objects become one `Scene`."""
 
 from __future__ import annotations
 
@@ -109,11 +109,11 @@ class _Collector:
 
 
 def build_home(spec: HomeSpec) -> Scene:
-    """Return a furnished home: rooms, walls with doors and windows, furniture, small objects to carry.
+    """Return a furnished home with rooms, walls, doors, windows, furniture, and small objects to carry.
 
-    World frame, +Y up, floor at y = 0, footprint from (0, 0) to (width, depth) in (x, z); an upper storey lies beside it.
-    The ceiling and its lamps are in the layer ``ceiling``. The same spec gives the same bytes. A disc of 0.30 m radius can
-    reach every room and every receptacle; plans that fail this are sampled anew, up to 12 times.
+    World frame, +Y up, floor at y = 0, footprint from (0, 0) to (width, depth) in (x, z); an upper storey lies beside
+    it. The ceiling and its lamps are in the layer ``ceiling``. The same spec gives the same bytes. A disc of 0.30 m
+    radius can reach every room and every receptacle; plans that fail this are sampled anew, up to 12 times.
 
     Raises:
         SceneError: no attempt succeeded.

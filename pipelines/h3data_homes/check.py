@@ -1,4 +1,4 @@
-"""Final acceptance test of a home, by its collision shapes alone: agents must be able to reach everything."""
+"""Acceptance test of a home by its collision shapes: agents must be able to reach every room and receptacle."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _REACH_SLACK = 0.01
 
 
 def open_floor(scene: Scene) -> BaseGeometry:
-    """Return the floor of all rooms minus obstacles, as a (multi)polygon in (x, z), not shrunk by any disc."""
+    """Return the floor of all rooms without obstacles as a (multi)polygon in (x, z) [m], not shrunk by any radius."""
     import shapely
 
     from h3data.scene.freespace._footprints import scene_obstacles
@@ -33,12 +33,12 @@ def open_floor(scene: Scene) -> BaseGeometry:
 
 
 def walkable_area(scene: Scene, radius: float = WALK_RADIUS) -> BaseGeometry:
-    """Return positions that the centre of a disc can take on the floor of all rooms, as a (multi)polygon in (x, z)."""
+    """Return the positions that the centre of a disc can take on the floor, as a (multi)polygon in (x, z) [m]."""
     return open_floor(scene).buffer(-radius, quad_segs=8)
 
 
 def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]:
-    """Return furniture with receptacles: names, edges or outlines from which it is used, required distances to them [m]."""
+    """Return furniture with receptacles: its names, the edges from which it is used, and their distances [m]."""
     import shapely
 
     from h3data.scene.freespace._footprints import shape_footprint
@@ -62,7 +62,7 @@ def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]
 
 
 def faults(scene: Scene) -> list[str]:
-    """Return rooms and furniture out of reach of a walker of `WALK_RADIUS`, and gaps of ambiguous width."""
+    """Return a description of each room or piece of furniture out of reach of a walker, and of each ambiguous gap."""
     import shapely
 
     floor = open_floor(scene)

@@ -1,4 +1,4 @@
-"""Leaves in the doorways of a home: they swing into a room if nothing obstructs them, and otherwise slide into the wall."""
+"""Doors in the doorways of a home, which swing into a room if nothing obstructs them, or else slide into the wall."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from h3data_homes.structure import plan_box, wall_runs
 from h3data_homes.style import Style
 
 THICK_M, GAP_M = 0.04, 0.012
-"""Thickness of a leaf, and the gap around it."""
+"""Thickness of a door leaf, and width of the gap around it [m]."""
 GRIP_M = 0.09
 """Width of a sliding leaf that stays out of the wall, so that a hand can pull it out again [m]."""
 HANDLE_M = 1.02
-"""Height of handles."""
+"""Height of door handles above the floor [m]."""
 WIDTH_M = (0.6, 1.2)
-"""Least and largest width of doorways that get a leaf [m]."""
+"""Least and greatest width of doorways that get a door [m]."""
 BESIDE_M = 0.35
-"""Least distance of an open leaf from other doorways [m]."""
+"""Least distance of an open door from other doorways [m]."""
 SWING_RAD = np.pi / 2
 ALONG_M = 0.3
-"""Distance from a wall below which a leaf stands along it [m]."""
+"""Distance from a wall below which an open door stands along it [m]."""
 SWINGS_M = (np.inf, ALONG_M, -1.0)
-"""Distances of leaves from a wall, tried in this order until a home has no faults."""
+"""Greatest distances of open doors from a wall [m], tried in this order until a home has no faults."""
 PRIVATE = ("bathroom", "bedroom", "child", "office", "laundry", "den", "library", "pantry")
-"""Kinds of rooms into which leaves preferably swing, most private first."""
+"""Kinds of rooms into which doors preferably swing, the most private first."""
 CLOSED: dict[str, float] = {"bathroom": 0.6, "bedroom": 0.5, "child": 0.4, "office": 0.4, "laundry": 0.6, "pantry": 0.7}
-"""Share of closed doors by kind of room; of others, `OTHERS_CLOSED`."""
+"""Probability that a door is closed, by kind of room; `OTHERS_CLOSED` for other kinds."""
 OTHERS_CLOSED = 0.15
 LEAF = "leaf"
 """Name of the moving part of a door."""
 STRUCTURE = ("wall", "floor", "ceiling", "trim", "rug")
-"""Parts of the structure that leaves may pass."""
+"""Parts of the structure through which an open door may pass."""
 FLAT_M = 0.03
-"""Height up to which leaves pass over things [m]."""
+"""Greatest height of objects over which doors can swing [m]."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,10 @@ class _Place:
 
 
 def with_doors(scene: Scene, layout: Layout, style: Style, rng: np.random.Generator, *, swing_m: float) -> Scene:
-    """Return the scene with a door in each of its doorways, all of them open.
+    """Return the scene with an open door in each of its suitable doorways.
 
-    Doors swing if the open door is within ``swing_m`` of a wall and nothing is in its sweep; the others slide. Doorways
-    that are wide, and those next to walls that are too short to slide into, stay as they are.
+    A door swings if the open door is within ``swing_m`` [m] of a wall and nothing obstructs its motion; otherwise it
+    slides. Wide doorways, and those next to walls that are too short to slide into, stay without a door.
     """
     boxes = _furniture(scene)
     swept: list[NDArray[np.float64]] = []

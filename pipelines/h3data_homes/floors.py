@@ -1,4 +1,4 @@
-"""Floors of rooms: boards and tiles, one quad each."""
+"""Floor meshes of rooms: boards and tiles, with one quad each."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _place(rects: np.ndarray, swap: bool = False) -> np.ndarray:
 
 
 def floor_mesh(room: RoomPlan, style: Style, rng: np.random.Generator) -> Mesh:
-    """Return a floor of boards or, in kitchens and bathrooms, of tiles, each with a tint of its own."""
+    """Return a floor mesh of boards or, in kitchens and bathrooms, of tiles; each has its own tint."""
     mesh = MeshBuilder()
     if room.category not in style.floor_tile:
         boards, places = _planks(room.rect, rng)

@@ -1,4 +1,4 @@
-"""Generator of homes by name: an entry point of the group ``h3data.scenes``."""
+"""Scene generator ``home``, an entry point of the group ``h3data.scenes``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from h3data_homes.spec import HomeSpec, Look, Preset
 
 
 class HomeTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A procedural home in a scene set: the fields of `HomeSpec`."""
+    """Table of a scene set that describes one procedural home by the fields of `HomeSpec`."""
 
     id: str
     seed: int

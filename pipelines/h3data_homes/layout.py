@@ -1,7 +1,8 @@
-"""Plan of a home: rooms that tile its footprint, doors by rules for pairs of room types, windows.
+"""Plan of a home: rooms that tile its footprint, doors by rules for pairs of room types, and windows.
 
-Plan coordinates are floor points (x, z) of the world [m]. Rooms extend to the middle of inner walls and to the inner face
-of outer walls, so that their areas add up to the area of the home. Algorithm: research/navigation-and-stepping.md 6.
+Plan coordinates are floor points (x, z) of the world [m]. Rooms extend to the middle of inner walls and to the inner
+face of outer walls, so that their areas add up to the area of the home. Algorithm: research/navigation-and-stepping.md
+6.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ DOOR_HEIGHT = 2.1
 
 @dataclass(frozen=True, kw_only=True)
 class RoomPlan:
-    """Room of the plan."""
+    """Room in the plan of a home."""
 
     name: str
     category: str
     rect: Rect
-    """Extent to the middle of inner walls and to the inner face of outer walls."""
+    """Rectangle up to the middle of inner walls and to the inner face of outer walls [m]."""
     interior: Rect
-    """Floor between the wall faces."""
+    """Rectangle of floor between the wall faces [m]."""
 
     @property
     def area(self) -> float:
@@ -41,37 +42,37 @@ class RoomPlan:
 
 
 OpeningKind = Literal["door", "wide", "window", "entrance", "gate", "parapet", "passage"]
-"""Kind of opening: ``gate`` = the closed door of a garage, ``parapet`` = the open side of a balcony above its
-balustrade, ``passage`` = the doorway to a stairwell, and others."""
+"""Kind of opening in a wall. A ``gate`` is the closed door of a garage, a ``parapet`` is the open side of a balcony
+above its balustrade, and a ``passage`` is the doorway to a stairwell."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Opening:
-    """A hole in one wall."""
+    """Opening in one wall, such as a door or window."""
 
     kind: OpeningKind
     axis: Literal[0, 1]
     """Plan axis along which the wall runs: 0 = x, 1 = z."""
     line: float
-    """Coordinate of the wall on the other axis: the middle of an inner wall, the inner face of an outer one [m]."""
+    """Coordinate of the wall on the other axis [m]: the middle of an inner wall, or the inner face of an outer one."""
     span: tuple[float, float]
-    """Clear opening along the axis [m]."""
+    """Both ends of the clear opening along the wall's axis [m]."""
     height: tuple[float, float]
     """Bottom and top of the clear opening [m]."""
     rooms: tuple[str, ...]
-    """Names of the one or two rooms on its sides."""
+    """Names of the rooms on its sides: one for outer walls, two for inner walls."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """A complete plan; the footprint is ``0 0 width depth`` minus the notches."""
+    """Complete plan of a home, whose footprint is the rectangle ``0 0 width depth`` minus the notches."""
 
     width: float
     depth: float
     rooms: tuple[RoomPlan, ...]
     openings: tuple[Opening, ...]
     notches: tuple[Rect, ...] = ()
-    """Corners of the bounding box that lie outdoors. Walls facing them are centred on their line, like inner walls."""
+    """Corners of the bounding box that lie outdoors. Walls that face them are centred on their line, like inner walls."""
     open_plan: bool = False
     """True if openings may be as wide as a room, so that furniture may stand near them."""
 
@@ -113,7 +114,7 @@ def _named(tiles: Sequence[Tile], width: float, depth: float) -> tuple[RoomPlan,
 
 
 def interior_of(rect: Rect, width: float, depth: float) -> Rect:
-    """Return the floor between the wall faces of a room in a plan of this size."""
+    """Return the floor rectangle between the wall faces of a room, in a plan of the given size [m]."""
     x0, z0, x1, z1 = rect
     half = WALL_THICKNESS / 2
     return (
@@ -269,12 +270,12 @@ _WINDOWS = {
 """Windows per kind of room: largest number of sides, range of widths, bottom, top [m]. Its order is also that of a plan's
 rooms."""
 NEED_LIGHT = ("living", "bedroom", "dining", "child")
-"""Kinds of rooms that must have an outer wall long enough for a window."""
+"""Kinds of rooms that must have an outer wall that is long enough for a window."""
 
 
 @dataclass(frozen=True)
 class OuterWall:
-    """A stretch of a room's wall that faces outdoors, between the wall faces at its ends."""
+    """Part of a room's wall that faces outdoors, between the wall faces at its ends."""
 
     axis: Literal[0, 1]
     line: float
@@ -283,7 +284,7 @@ class OuterWall:
 
 
 def outer_walls(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[OuterWall]:
-    """Return stretches of a room's walls that no other room shares."""
+    """Return the parts of a room's walls that no other room shares."""
     walls = [w for r in rooms if r is not room and (w := shared_wall(room.rect, r.rect)) is not None]
     stretches = []
     axes: tuple[Literal[0, 1], ...] = (1, 0)
@@ -363,7 +364,7 @@ def _entrances(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[OuterWall]:
 
 
 def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
-    """Plan rooms, doors and windows of a home; each ``attempt`` has random numbers of its own.
+    """Plan rooms, doors and windows of a home; each ``attempt`` uses different random numbers.
 
     Raises:
         SceneError: no acceptable plan was found.

@@ -1,4 +1,4 @@
-"""Materials of surfaces: near-white, repeating patterns that are multiplied with the colours of a home's style.
+"""Materials of surfaces: near-white repeating patterns, which are multiplied by the colours of a home's style.
 
 All homes share them. They are generated from fixed seeds with sums, products and means of integers only, so that every
 machine gets the same bytes.
@@ -23,17 +23,17 @@ _STEPS = 256
 """Light is quantised to 1 / _STEPS: no texel lies on the border between two sRGB bytes, and files stay small."""
 
 BOARDS, TILES = 4, 2
-"""Number of boards in the height of "boards" and of tiles along each side of "tiles"; floors cut their pieces along
-these joints."""
+"""Number of boards in the height of the pattern "boards", and number of tiles along each side of "tiles"; floors cut
+their pieces along these joints."""
 
 Pattern = NDArray[np.float64]
 """Darkness of each texel in arbitrary units, shape [H, W]."""
 
 
 class Finish(tuple[int, int, int]):
-    """An sRGB colour 0-255 with a material, e.g. ``Finish((186, 140, 92), "wood")``.
+    """Colour with a material: sRGB 0-255 and a name, such as ``Finish((186, 140, 92), "wood")``.
 
-    Usable wherever a plain colour is; `shade` and `vary` keep the material.
+    It can be used wherever a plain colour can; `shade` and `vary` keep the material.
     """
 
     material: str
@@ -59,13 +59,13 @@ class Finish(tuple[int, int, int]):
 
 @dataclass(frozen=True)
 class Material:
-    """A pattern and the area over which it repeats."""
+    """Repeating pattern of a material, and the area over which it repeats."""
 
     make_pattern: Callable[[np.random.Generator], Pattern]
     size_m: tuple[float, float]
     """Width and height of one repetition; the grain runs along the width [m]."""
     darkening: float
-    """Mean share of light, 0..1, by which the pattern darkens a surface's colour."""
+    """Mean share of light, 0 to 1, by which the pattern darkens a surface's colour."""
 
 
 def _noise(rng: np.random.Generator, across: int, down: int) -> Pattern:
@@ -217,7 +217,7 @@ MATERIALS: Mapping[str, Material] = MappingProxyType(
 
 @cache
 def texture(material: str) -> Texture:
-    """Return the image of a material; always the same object, so that meshes share it."""
+    """Return the texture image of a material, which is always the same object so that meshes share it."""
     record = MATERIALS[material]
     seed = np.frombuffer(material.encode().ljust(16, b"\0")[:16], "<u8").astype(np.uint64)
     darker = np.rint(record.make_pattern(np.random.Generator(np.random.Philox(key=seed))) * 65536).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Solids for furniture and walls: vertices, shading normals, triangles and texture places."""
+"""Solids for furniture and walls: vertices, shading normals, triangles and texture coordinates."""
 
 from __future__ import annotations
 
@@ -66,16 +66,16 @@ def _grid_cube(n: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
 
 
 class Solid(NamedTuple):
-    """A surface about the origin."""
+    """Surface mesh of a solid about the origin."""
 
     vertices: NDArray[np.float64]
     """Positions of the vertices, shape [V, 3] [m]."""
     normals: NDArray[np.float64]
     """Unit shading normals, shape [V, 3]."""
     faces: NDArray[np.int32]
-    """Vertices of each triangle, shape [F, 3]."""
+    """Vertex indices of each triangle, shape [F, 3]."""
     place: NDArray[np.float64]
-    """Position of each vertex on its material, along and across the grain, shape [V, 2] [m]."""
+    """Texture coordinates of each vertex on its material, along and across the grain, shape [V, 2] [m]."""
 
 
 def _side_places(vertices: NDArray[np.float64], side: NDArray[np.intp], order: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -94,10 +94,10 @@ def _longest_first(size: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def boxes(size: NDArray[np.float64], bevel: NDArray[np.float64]) -> tuple[Solid, NDArray[np.intp], NDArray[np.bool_]]:
-    """Return boxes of full sizes [N, 3] with edges cut by bevels [N], 24 vertices each.
+    """Return boxes of full sizes [N, 3] [m] with bevels [N] [m] at their edges, with 24 vertices each.
 
-    Also returns the box of each vertex [V] and whether each triangle belongs to a bevel [F]. The computation is
-    batched, because a home has thousands of boxes.
+    The function also returns the index of each vertex's box [V] and whether each triangle belongs to a bevel [F]. The
+    computation is batched, because a home has thousands of boxes.
     """
     signs, normals, faces = _box_template()
     half = size[:, None] / 2
@@ -113,7 +113,7 @@ def boxes(size: NDArray[np.float64], bevel: NDArray[np.float64]) -> tuple[Solid,
 
 
 def cushion(size: NDArray[np.float64], radius: float) -> Solid:
-    """Return a box of full size [3] with rounded edges."""
+    """Return a box of full size [3] [m] with rounded edges."""
     index, faces = _grid_cube(3)
     half = size / 2
     r = min(radius, 0.98 * float(half.min()))
@@ -144,7 +144,7 @@ def _pillow_template() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
 
 
 def pillow(size: NDArray[np.float64]) -> Solid:
-    """Return a puffed sheet of full size [3], thickest in the middle."""
+    """Return a pillow of full size [3] [m], which is thickest in the middle."""
     unit, faces = _pillow_template()
     vertices = unit * (size / 2)
     return Solid(vertices, _smooth_normals(vertices, faces), faces, vertices[:, ::2])
@@ -153,10 +153,10 @@ def pillow(size: NDArray[np.float64]) -> Solid:
 def lathe(
     profile: Sequence[tuple[float, float]], segments: int, stretch: tuple[float, float], repeat_m: float = 0.0
 ) -> Solid:
-    """Return a profile of (radius, height) revolved about y and stretched in x and z.
+    """Return the surface of a profile of (radius, height) [m] revolved about y, with scaled x and z.
 
-    With ``repeat_m``, the width after which a material repeats, the surface has a seam, so that the material goes around
-    a whole number of times; parts flatter than 45 degrees are textured from above.
+    With ``repeat_m``, the width after which a material repeats, the surface has a seam, so that the material repeats a
+    whole number of times around it. Parts flatter than 45 degrees are textured from above.
     """
     p = np.array(profile, float)
     along = p[1:] - p[:-1]
@@ -220,10 +220,10 @@ def _strips(wide: tuple[bool, ...], points: int, segments: int) -> NDArray[np.in
 
 
 def quads(corners: ArrayLike, place: NDArray[np.float64] | None = None) -> Solid:
-    """Build a solid of flat quads [Q, 4, 3] with texture places [Q, 4, 2].
+    """Build a solid of flat quads [Q, 4, 3] [m] with texture coordinates ``place`` [Q, 4, 2] [m].
 
-    Without ``place``, coordinates in the mesh's frame are used, with the material upright on vertical quads: the pattern
-    continues across the parts of one wall.
+    Without ``place``, coordinates in the mesh's frame are used, so that the pattern continues across the parts of one
+    wall. The material is upright on vertical quads.
     """
     c = np.asarray(corners, float).reshape(-1, 4, 3)
     normal = _cross(c[:, 1] - c[:, 0], c[:, 3] - c[:, 0])

@@ -1,6 +1,7 @@
-"""Furniture of each kind of room, in the order in which it is placed: the pieces that are hardest to place come first.
+"""Furniture of each kind of room, with the pieces that are hardest to place first.
 
-Every `furnish_*` function raises `NoRoomError` if a necessary piece does not fit; `dining` asks for the dining table.
+Every `furnish_*` function raises `NoRoomError` if a necessary piece does not fit; their argument ``dining`` requests
+the dining table.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _LARGE_M2 = 45.0
 
 # --- living room, den, library, office --------------------------------------------------------------------------------
 def furnish_living(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish a living room: sofa group with a TV, the dining table if asked for, shelves, lamp and plants."""
+    """Furnish a living room with a sofa group with TV, shelves, lamp, plants, and the dining table if requested."""
     sides = rng.permutation(4).tolist()
     group = None
     for with_chair in (True, False):
@@ -79,13 +80,13 @@ def _more_groups(rng: np.random.Generator, style: Style, state: RoomState, count
 
 
 def furnish_den(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish a den: a second sofa group with a TV, shelves and a desk."""
+    """Furnish a den with a second sofa group with TV, shelves and a desk."""
     furnish_living(rng, style, state, dining)
     place_shelves(rng, style, state, 2)
 
 
 def furnish_library(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish a library: shelves along the walls, seats in the middle, a desk."""
+    """Furnish a library with shelves along the walls, seats in the middle, and a desk."""
     del dining
     need(place_at_wall(rng, state, in_a_row([living.shelf(rng, style)] * 2), middle=True), "shelves", state)
     place_talk(rng, style, state)
@@ -99,7 +100,7 @@ def furnish_library(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def furnish_office(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish an office: desks, shelves and seats for visitors."""
+    """Furnish an office with desks, shelves and seats for visitors."""
     del dining
     need(place_desk(rng, style, state), "desk", state)
     if state.room.area > 20:
@@ -116,7 +117,7 @@ def furnish_office(rng: np.random.Generator, style: Style, state: RoomState, din
 
 # --- dining room ------------------------------------------------------------------------------------------------------
 def furnish_dining(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish a dining room: a long table, sideboards, and shelves for the dishes."""
+    """Furnish a dining room with a long table, sideboards, and shelves for dishes."""
     del dining
     need(place_dining(rng, style, state, seats=(8, 6, 4)), "dining table", state)
     for _ in range(2):
@@ -131,7 +132,7 @@ def furnish_dining(rng: np.random.Generator, style: Style, state: RoomState, din
 
 # --- laundry, pantry --------------------------------------------------------------------------------------------------
 def furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish a laundry: machines, a sink and a counter in a row; shelves."""
+    """Furnish a laundry with a row of machines, a sink and a counter, and with shelves."""
     del dining
     machine, sink = bath.washer(rng, style), kitchen.counter(rng, style, kitchen.SINK_WIDTH, "sink")
     side = kitchen.counter(rng, style, 0.6)
@@ -144,7 +145,7 @@ def furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def furnish_pantry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish a pantry: shelves along the walls."""
+    """Furnish a pantry with shelves along the walls."""
     del dining
     for count in (3, 3, 2):
         place_shelves(rng, style, state, count)
@@ -152,7 +153,7 @@ def furnish_pantry(rng: np.random.Generator, style: Style, state: RoomState, din
 
 # --- kitchen ----------------------------------------------------------------------------------------------------------
 def furnish_kitchen(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish a kitchen: fridge, counters, sink and stove in a row with cabinets above; the dining table if asked for."""
+    """Furnish a kitchen with fridge, counters, sink, stove, wall cabinets, and the dining table if requested."""
     fridge, stove = kitchen.fridge(rng, style), kitchen.stove(rng, style)
     sink = kitchen.counter(rng, style, kitchen.SINK_WIDTH, "sink")
     drawers, doors = kitchen.counter(rng, style, 0.6, "drawers"), kitchen.counter(rng, style, 0.6)
@@ -232,7 +233,7 @@ def _bed_group(rng: np.random.Generator, style: Style, width: float, tables: int
 
 
 def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish a bedroom: bed with nightstands, wardrobe, and, space permitting, desk with chair, shelf and plant."""
+    """Furnish a bedroom with bed, nightstands, wardrobe, and, if space permits, desk with chair, shelf and plant."""
     del dining
     large = state.room.area > 26
     main = large or not state.room.name.endswith(("_2", "_3"))
@@ -267,7 +268,7 @@ def _bedroom_extras(rng: np.random.Generator, style: Style, state: RoomState) ->
 
 # --- bathrooms, hall --------------------------------------------------------------------------------------------------
 def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish a bathroom: bathtub or shower, basin with mirror, toilet, mat."""
+    """Furnish a bathroom with bathtub or shower, basin with mirror, toilet and mat."""
     del dining
     first = rng.random() < 0.6 or state.room.area > 6.5
     done = place_single(rng, state, bath.bathtub(rng, style), corner=True) if first else None
@@ -298,7 +299,7 @@ def _mirror(rng: np.random.Generator, style: Style, state: RoomState, basin: Pla
 
 
 def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Furnish a hall: a shoe cabinet, a plant, pictures and a runner; long galleries get several of each."""
+    """Furnish a hall with a shoe cabinet, a plant, pictures and a runner; long galleries get several of each."""
     del dining
     _runner(rng, style, state, least_m=1.3)
     for _ in range(int(state.room.area // 20)):

@@ -14,21 +14,24 @@ from h3data_homes.materials import MATERIALS, Finish, texture
 from h3data_homes.primitives import Solid
 
 Color = tuple[int, int, int]
-"""Colour as sRGB values 0-255; a `Finish` also names the material."""
+"""Colour as sRGB values 0-255; the subclass `Finish` also names a material."""
 
 
 def material_of(color: object) -> str:
-    """Return the material of a `Finish`; "" for a plain colour."""
+    """Return the material of a `Finish`, or an empty string for a plain colour."""
     return color.material if isinstance(color, Finish) else ""
 
 
 def shade(color: Sequence[int], factor: float) -> Color:
-    """Return the colour made darker (factor < 1) or lighter; a finish keeps its material."""
+    """Return a darker (factor < 1) or lighter colour; a `Finish` keeps its material."""
     return _scaled(color, (factor, factor, factor))
 
 
 def vary(rng: np.random.Generator, color: Sequence[int], amount: float = 0.06) -> Color:
-    """Return the colour with its brightness changed at random by up to +-``amount``, and its hue slightly; see `shade`."""
+    """Return a colour with its brightness changed randomly by up to +-``amount``, and its hue slightly.
+
+    A `Finish` keeps its material.
+    """
     brightness, *hue = ((2 * rng.random(4) - 1) * amount).tolist()
     return _scaled(color, [1 + brightness + h / 4 for h in hue])
 
@@ -39,13 +42,13 @@ def _scaled(color: Sequence[int], factors: Sequence[float]) -> Color:
 
 
 def turn_x(angle_rad: float) -> NDArray[np.float64]:
-    """Return the 3x3 rotation about x: positive tips the top (+y) towards the front (+z)."""
+    """Return the 3x3 rotation about x, which for positive angles tilts the top (+y) towards the front (+z)."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
 def turn_y(angle_rad: float) -> NDArray[np.float64]:
-    """Return the 3x3 rotation about y: positive turns +z towards +x."""
+    """Return the 3x3 rotation about y, which for positive angles takes +z towards +x."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
@@ -56,8 +59,9 @@ _Turn = NDArray[np.float64] | None
 class MeshBuilder:
     """Builder that collects solids and returns them as one `Mesh`.
 
-    A part whose colour is a `Finish` shows that material, its grain along the part's longest side; every part is cut from
-    a different place of the pattern. Meshes are built lazily, by `mesh`, because most furniture is tried and discarded.
+    A part whose colour is a `Finish` has that material, with its grain along the part's longest side. Every part shows
+    a different section of the pattern. Meshes are built lazily, by `mesh`, because most furniture is tried and
+    discarded.
     """
 
     def __init__(self) -> None:
@@ -74,7 +78,7 @@ class MeshBuilder:
         bevel: float = 0.0,
         turn: _Turn = None,
     ) -> None:
-        """Add a box; a bevel cuts its edges and shades them round (24 vertices with or without)."""
+        """Add a box; ``bevel`` [m] cuts its edges and shades them smoothly (24 vertices with or without)."""
         self._boxes.append((center, size, color, bevel, turn))
 
     def span(self, low: Sequence[float], high: Sequence[float], color: Color, *, bevel: float = 0.0) -> None:
@@ -108,9 +112,9 @@ class MeshBuilder:
         stretch: tuple[float, float] = (1.0, 1.0),
         turn: _Turn = None,
     ) -> None:
-        """Revolve a profile of (radius, height) about y; an ascending one faces outwards. ``stretch`` scales x and z.
+        """Add a profile of (radius, height) [m] revolved about y; an ascending profile faces outwards.
 
-        Kinks above 50 degrees stay sharp; the rest is shaded smooth.
+        ``stretch`` scales x and z. Edges above 50 degrees stay sharp, and the rest is shaded smoothly.
         """
         material = material_of(color)
         repeat_m = MATERIALS[material].size_m[0] if material else 0.0
@@ -139,7 +143,7 @@ class MeshBuilder:
     def ellipsoid(
         self, center: ArrayLike, radii: Sequence[float], color: Color, *, segments: int = 12, rings: int = 7
     ) -> None:
-        """Add a closed ellipsoid with half axes ``radii`` (x, y, z)."""
+        """Add a closed ellipsoid with half axes ``radii`` (x, y, z) [m]."""
         angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
         profile = [
             (max(float(np.cos(a)), 0.0) if 0 < i < rings else 0.0, float(np.sin(a)) * radii[1])
@@ -150,7 +154,8 @@ class MeshBuilder:
     def quads(self, corners: ArrayLike, colors: Sequence, *, place: NDArray[np.float64] | None = None) -> None:
         """Add flat quads [Q, 4, 3], counter-clockwise from the visible side, in one colour or one colour each.
 
-        All have the material of the first. ``place`` [Q, 4, 2] holds positions on it [m]; by default the coordinates count.
+        All quads have the material of the first. ``place`` [Q, 4, 2] has texture coordinates on it [m]; by default they
+        follow from the corners.
         """
         material = material_of(colors) or material_of(colors[0])
         self._solids.append((primitives.quads, (corners, place), colors, material, 0.0, None))
@@ -159,7 +164,7 @@ class MeshBuilder:
         self._solids.append((make, arguments, color, material_of(color), center, turn))
 
     def mesh(self) -> Mesh:
-        """Return everything collected so far as one mesh, built once."""
+        """Return all solids added so far as one mesh, which is built only once."""
         if self._mesh is None:
             self._mesh = self._build()
         return self._mesh
@@ -238,7 +243,7 @@ def _textured(
 
 
 def subdivided(mesh: Mesh, parts: int) -> Mesh:
-    """Return the surface with every edge cut into ``parts``, so with parts^2 times as many triangles, on the same planes.
+    """Return the surface with every edge cut into ``parts``, and with parts^2 times as many triangles.
 
     Neighbours share the points on their common edge, so no cracks appear. Normals, colours and uv are interpolated.
     """

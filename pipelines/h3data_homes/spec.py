@@ -1,4 +1,4 @@
-"""`HomeSpec` and presets, and the random numbers of each stage of generation."""
+"""Specification of a home (`HomeSpec`), its presets, and the random numbers of each stage of generation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class HomePreset:
     bedrooms: int
     bathrooms: int
     extra: tuple[str, ...] = ()
-    """Other required rooms."""
+    """Kinds of other required rooms."""
     children: int = 0
     """Number of bedrooms that are furnished for children (second generation)."""
     generation: int = 1
@@ -44,7 +44,8 @@ HOME_PRESETS: Mapping[str, HomePreset] = MappingProxyType(
         "large": HomePreset(area_m2=846.15, bedrooms=4, bathrooms=4, extra=("den", "office")),
     }
 )
-"""Areas and rooms of the benchmark homes in the Habitat 3.0 paper (research/navigation-and-stepping.md 6)."""
+"""Presets by name: areas and rooms of the benchmark homes in the Habitat 3.0 paper (research/navigation-and-stepping.md
+6)."""
 
 MAX_AREA_M2, MAX_BEDROOMS, MAX_BATHROOMS = 1200.0, 8, 6
 MAX_CLUTTER, MAX_DENSITY = 4.0, 12
@@ -88,40 +89,40 @@ _LATER: Mapping[str, Any] = MappingProxyType(
 
 
 def min_area_m2(bedrooms: int, bathrooms: int) -> float:
-    """Return the smallest floor area for a home with this many rooms [m2]."""
+    """Return the smallest floor area for a home with these numbers of bedrooms and bathrooms [m2]."""
     return 24.0 + 23.0 * bedrooms + 15.0 * bathrooms
 
 
 @dataclass(frozen=True, kw_only=True)
 class HomeSpec:
-    """Complete description of a procedural home: the same spec gives the same scene, byte for byte."""
+    """Complete description of a procedural home; equal specs give the same scene, byte for byte."""
 
     kind: ClassVar[str] = "home"
 
     seed: int = 0
     preset: Preset = "small"
     area_m2: float | None = None
-    """Floor area [m2]; None means the preset's."""
+    """Floor area [m2]; None means the area of the preset."""
     bedrooms: int | None = None
     """Number of bedrooms; None means that of the preset."""
     bathrooms: int | None = None
     """Number of bathrooms; None means that of the preset."""
     clutter: float = 1.0
-    """Amount of small objects: 0 leaves them out, 2 gives about twice as many. The furniture stays the same."""
+    """Amount of small objects: 0 means none, and 2 about twice as many. The furniture stays the same."""
     density: int = 1
-    """Number of parts into which every triangle edge is cut: density^2 times as many triangles with the same look, to
-    load renderers. Collision shapes stay the same."""
+    """Number of parts into which every triangle edge is cut, as a load for renderers. There are density^2 times as many
+    triangles with the same look, and the same collision shapes."""
     articulated: bool = False
-    """True if fridge, cupboards, drawers and a dishwasher open. Rooms and furniture stay the same; small objects lie inside
-    too."""
+    """True if fridge, cupboards, drawers and a dishwasher open. Rooms and furniture stay the same, and small objects
+    also lie inside."""
     generation: int = 1
-    """Generation of homes: 1 = those of `h3-homes`, 2 = those of `h3-homes-v2`, with more kinds of things, rooms and
-    styles."""
+    """Generation of homes: 1 for the homes of `h3-homes`, 2 for those of `h3-homes-v2`, which have more kinds of
+    objects, rooms and styles."""
     style: Look | None = None
-    """Style of a home of the second generation; None = chosen by the seed."""
+    """Style of a home of the second generation; None means that the seed determines it."""
     storeys: int = 1
-    """Number of storeys: 2 adds an upper storey beside a stairwell (second generation, ``small`` and ``medium``). Area,
-    bedrooms and bathrooms are those of each storey."""
+    """Number of storeys: 2 adds an upper storey next to a stairwell (second generation, ``small`` and ``medium``).
+    Area, bedrooms and bathrooms are per storey."""
     doors: bool = False
     """True if doorways have doors, some of them closed (second generation). The rest of the home stays the same."""
 
@@ -176,7 +177,7 @@ class HomeSpec:
 
     @property
     def program(self) -> HomePreset:
-        """Preset with the overrides of this spec applied."""
+        """Preset of the home with the overrides of this spec applied."""
         preset = HOME_PRESETS[self.preset]
         area_m2 = preset.area_m2 if self.area_m2 is None else self.area_m2
         bedrooms = preset.bedrooms if self.bedrooms is None else self.bedrooms
@@ -193,14 +194,14 @@ class HomeSpec:
 
     @property
     def look(self) -> Look | None:
-        """Style of the home, chosen by the seed if none is given; None in the first generation."""
+        """Style of the home, determined by the seed if none is given; None in the first generation."""
         if self.generation == 1:
             return None
         return self.style or seed_look(self.seed)
 
     @property
     def changes(self) -> dict[str, float | int | str]:
-        """Options that differ from the preset's, in a fixed order."""
+        """Options that differ from those of the preset, in a fixed order."""
         program, preset = self.program, HOME_PRESETS[self.preset]
         rooms = {name: getattr(program, name) for name in ("area_m2", "bedrooms", "bathrooms")}
         changed: dict[str, float | int | str] = {n: v for n, v in rooms.items() if v != getattr(preset, n)}
@@ -258,10 +259,11 @@ def _check_whole(name: str, value: object, low: int, high: int) -> None:
 
 
 def stage_rng(spec: HomeSpec, stage: str, attempt: int = 0) -> np.random.Generator:
-    """Return the random generator of one stage, keyed by (seed, preset, rooms, stage, attempt).
+    """Return the random generator of one stage, with a key of seed, preset, rooms, stage and attempt.
 
-    A stage that samples more or fewer numbers therefore leaves the other stages unchanged. `HomeSpec.clutter`, ``density``,
-    ``style``, ``articulated`` and ``doors`` are not part of the key: they leave rooms and furniture unchanged.
+    Stages are independent: if one samples more or fewer numbers, the others stay the same. `HomeSpec.clutter`,
+    ``density``, ``style``, ``articulated`` and ``doors`` are not part of the key, because they leave rooms and
+    furniture unchanged.
     """
     apart = ("clutter", "density", "style", "articulated", "doors")
     rooms = "".join(f"{k}={v!r}/" for k, v in spec.changes.items() if k not in apart)

@@ -20,7 +20,7 @@ _BASEBOARD_HEIGHT, _BASEBOARD_DEPTH, _CASING_WIDTH = 0.09, 0.012, 0.07
 
 @dataclass(frozen=True)
 class WallBox:
-    """A solid piece of wall: plan rectangle and heights [m]."""
+    """Solid piece of a wall as a plan rectangle and a range of heights [m]."""
 
     rect: Rect
     bottom: float
@@ -28,14 +28,14 @@ class WallBox:
 
 
 def plan_box(axis: int, along: tuple[float, float], across: tuple[float, float]) -> Rect:
-    """Plan rectangle of a span along an axis (0 = x, 1 = z) and a span across it."""
+    """Return the plan rectangle of a span along an axis (0 = x, 1 = z) and a span across it [m]."""
     if axis == 0:
         return along[0], across[0], along[1], across[1]
     return across[0], along[0], across[1], along[1]
 
 
 def wall_thickness_span(layout: Layout, opening: Opening) -> tuple[float, float]:
-    """Return both faces of the wall that an opening cuts, on the axis across it."""
+    """Return the coordinates of both faces of the wall that an opening cuts, on the axis across the wall [m]."""
     if len(opening.rooms) == 2 or opening.line not in (0.0, (layout.depth, layout.width)[opening.axis]):
         return opening.line - WALL_THICKNESS / 2, opening.line + WALL_THICKNESS / 2
     return (-WALL_THICKNESS, 0.0) if opening.line == 0 else (opening.line, opening.line + WALL_THICKNESS)
@@ -69,7 +69,7 @@ def _inner_walls(layout: Layout) -> list[tuple[int, float, float, float]]:
 
 
 def wall_runs(layout: Layout) -> list[tuple[int, float, tuple[float, float], tuple[float, float]]]:
-    """Return (axis, line, span along, span across) of every wall; outer walls along x include the corners."""
+    """Return (axis, line, span along, span across) of every wall [m]; outer walls along x include the corners."""
     t = WALL_THICKNESS
     runs = [(axis, line, (low, high), (line - t / 2, line + t / 2)) for axis, line, low, high in _inner_walls(layout)]
     for axis, line, span in _outer_walls(layout):
@@ -93,7 +93,7 @@ def _outer_walls(layout: Layout) -> list[tuple[int, float, tuple[float, float]]]
 
 
 def wall_boxes(layout: Layout) -> list[WallBox]:
-    """Return solid boxes of all walls, with lintels above doors and windows and parapets below windows."""
+    """Return the solid boxes of all walls, including lintels above openings and parapets below windows."""
     boxes = []
     for axis, line, along, across in wall_runs(layout):
         cuts = [o for o in layout.openings if o.axis == axis and abs(o.line - line) < 1e-9]
@@ -133,7 +133,7 @@ def _pieces(low: float, high: float, openings: Iterable[Opening]) -> list[_Piece
 
 
 def face_quad(axis: int, at: float, outward: int, piece: _Piece) -> list[tuple[float, float, float]]:
-    """Return corners of a wall-face piece; ``outward`` is the sign of its normal along the axis across the wall."""
+    """Return the corners of a wall-face piece; ``outward`` is the sign of its normal along the axis across the wall."""
     u0, y0, u1, y1 = piece
     ring = [(u0, y0), (u1, y0), (u1, y1), (u0, y1)]
     if (outward > 0) == (axis == 1):
@@ -142,7 +142,7 @@ def face_quad(axis: int, at: float, outward: int, piece: _Piece) -> list[tuple[f
 
 
 def room_sides(layout: Layout, room: RoomPlan) -> list[tuple[int, float, int, float, float, list[Opening]]]:
-    """Return (axis, face, inward sign, low, high, openings) of the four wall faces of a room."""
+    """Return the four wall faces of a room as (axis, face, inward sign, low, high, openings)."""
     sides = []
     for axis in (0, 1):
         across = 1 - axis
@@ -161,7 +161,7 @@ def _below_above(pieces: list[_Piece], height: float) -> tuple[list[_Piece], lis
 
 
 def walls_asset(layout: Layout, style: Style) -> Asset:
-    """Return all walls: painted per room inside, tiled up to 1.5 m in bathrooms; their boxes are the collision shapes."""
+    """Return an asset of all walls, painted per room and tiled up to 1.5 m in bathrooms, with collision boxes."""
     mesh = MeshBuilder()
     for room in layout.rooms:
         paint = style.paint[room.name]
@@ -222,7 +222,10 @@ def _reveal(mesh: MeshBuilder, layout: Layout, opening: Opening, color: Color) -
 
 
 def ceiling_asset(layout: Layout, style: Style) -> Asset:
-    """Return a slab over the whole home, or one per room if the footprint has notches; hide its layer in views from above."""
+    """Return a ceiling slab over the whole home, or one per room if the footprint has notches.
+
+    Its layer should be hidden in views from above.
+    """
     mesh = MeshBuilder()
     whole = (0.0, 0.0, layout.width, layout.depth)
     for rect in [r.rect for r in layout.rooms] if layout.notches else [whole]:
@@ -271,7 +274,7 @@ def _casing(mesh: MeshBuilder, axis: int, o: Opening, across: tuple[float, float
 
 
 def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> Asset:
-    """Return a window: frame, sky-coloured panes and an inner sill."""
+    """Return a window with a frame, sky-coloured panes and an inner sill."""
     mesh = MeshBuilder()
     c0, c1 = wall_thickness_span(layout, opening)
     into = 1 if layout.room(opening.rooms[0]).rect[1 - opening.axis] == opening.line else -1
@@ -303,7 +306,7 @@ def balustrade_asset(layout: Layout, opening: Opening, index: int, style: Style)
 
 
 def entrance_asset(layout: Layout, opening: Opening, style: Style, name: str = "front_door") -> Asset:
-    """Return the closed front door, or the door of a garage."""
+    """Return the closed front door, or the closed door of a garage."""
     mesh = MeshBuilder()
     c0, c1 = wall_thickness_span(layout, opening)
     middle = (c0 + c1) / 2
@@ -327,7 +330,7 @@ def entrance_asset(layout: Layout, opening: Opening, style: Style, name: str = "
 
 
 def blind_asset(layout: Layout, opening: Opening, index: int, style: Style, rng: np.random.Generator) -> Asset:
-    """Return a roller blind over a window, partly lowered."""
+    """Return a partly lowered roller blind over a window."""
     mesh = MeshBuilder()
     room = layout.room(opening.rooms[0])
     across = 1 - opening.axis

@@ -19,7 +19,7 @@ _CEILING = Finish((246, 246, 243), "plaster")
 
 @dataclass(frozen=True, kw_only=True)
 class Style:
-    """Palette of a home: sRGB colours, some of them a `Finish` with a material."""
+    """Palette of a home: sRGB colours, some of which are a `Finish` with a material."""
 
     paint: Mapping[str, Color]
     """Wall paint by room name."""
@@ -33,7 +33,7 @@ class Style:
     fabric_2: Color
     accent: Color
     front: Color
-    """Fronts of kitchen cabinets and wardrobes."""
+    """Colour of the fronts of kitchen cabinets and wardrobes."""
     worktop: Color
     front_door: Color
     facade: Color

@@ -1,7 +1,7 @@
-"""Zonings, i.e. rooms that tile a footprint: templates for small and medium homes, and penalties for bad plans.
+"""Zoning of small and medium homes into rooms that tile the footprint, with penalties for bad plans.
 
-Public rooms lie on one side, private ones along a corridor on the other. L- and T-shaped footprints lack rectangles at
-corners of their bounding box (notches). Large homes: `zoning_large`.
+Public rooms are on one side, and private ones are along a corridor on the other. L- and T-shaped footprints lack
+rectangles at corners of their bounding box (notches). `zoning_large` is for large homes.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from h3data_homes.spec import HomePreset, HomeSpec, stage_rng
 
 CORRIDOR_WIDTH = (1.3, 1.42)
 NOTCH_SHARE = (0.15, 0.30)
-"""Share of the bounding box that an L- or T-shaped footprint leaves out."""
+"""Range of the share of the bounding box that an L- or T-shaped footprint omits."""
 _SQUARE_BELOW_M2 = 90.0
 """Smaller homes are rectangles: they have too few rooms to go around a corner."""
 _SHAPES, _TRIALS, _WORST = 4, 100, 2.0
 """Footprint shapes tried, plans tried per shape, and the largest acceptable penalty."""
 
 Rect = tuple[float, float, float, float]
-"""Rectangle as x0, z0, x1, z1 [m]."""
+"""Rectangle in the plan as x0, z0, x1, z1 [m]."""
 Tile = tuple[str, Rect]
-"""Kind of room and its rectangle."""
+"""Room of a zoning as its kind and its rectangle."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Zoning:
-    """Rooms of a plan without doors; with the notches they tile the rectangle ``0 0 width depth``."""
+    """Zoning of a home: rooms without doors, which together with the notches tile the rectangle ``0 0 width depth``."""
 
     width: float
     depth: float
@@ -45,13 +45,13 @@ def rect_area(rect: Rect) -> float:
 
 
 def rounded(rect: Rect) -> Rect:
-    """Return the rectangle rounded to centimetres, so that neighbours share exactly the same line."""
+    """Return the rectangle rounded to centimetres, so that neighbours share exactly the same edge."""
     a, b, c, d = (round(v, 2) for v in rect)
     return a, b, c, d
 
 
 def shared_wall(a: Rect, b: Rect) -> tuple[int, float, float, float] | None:
-    """Return (axis along which it runs, line, low, high) of the wall between two rooms, or None."""
+    """Return the wall between two rooms as (axis along which it runs, line, low, high), or None if they share none."""
     for axis in (0, 1):
         across = 1 - axis
         for first, second in ((a, b), (b, a)):
@@ -64,7 +64,7 @@ def shared_wall(a: Rect, b: Rect) -> tuple[int, float, float, float] | None:
 
 # --- penalties --------------------------------------------------------------------------------------------------------
 Limits = Mapping[str, tuple[float, float, float, float]]
-"""Smallest side [m], smallest and largest area [m2] and largest aspect ratio, by kind of room."""
+"""Limits of rooms by kind: smallest side [m], smallest and largest area [m2], and largest aspect ratio."""
 
 _LIMITS: Limits = {
     "living": (3.5, 15.0, 38.0, 1.9),
@@ -96,7 +96,7 @@ _MUST_TOUCH = {
 
 
 def size_penalty(tiles: Sequence[Tile], limits: Limits, roomy: float = 1.0) -> float:
-    """Return the penalty for rooms outside their limits, 0 if there are none; ``roomy`` scales the largest areas."""
+    """Return the penalty for rooms outside their limits (0 if there are none); ``roomy`` scales the largest areas."""
     total = 0.0
     for kind, rect in tiles:
         side, least, most, aspect = limits[kind]
@@ -120,7 +120,7 @@ def _touch_penalty(tiles: Sequence[Tile]) -> float:
 
 
 def with_balcony(rng: np.random.Generator, tiles: list[Tile], width: float, depth: float) -> list[Tile]:
-    """Return the tiles with a balcony cut off from the outer side of the living room; unchanged if it has no room for one."""
+    """Return the tiles with a balcony cut off the outer side of the living room, or unchanged if there is no space."""
     k = next(i for i, (kind, _) in enumerate(tiles) if kind == "living")
     rect = tiles[k][1]
     x0, z0, x1, z1 = rect

@@ -1,6 +1,6 @@
 """Zoning of large homes: a gallery with rows of rooms on both sides, and branch corridors within the rows.
 
-A row is a list of cells: single rooms, suites (a bedroom with its bathroom behind it), a kitchen with its pantry and
+A row is a list of cells: single rooms, suites (a bedroom with its bathroom behind it), or a kitchen with its pantry and
 laundry. Cells too small to span the depth of a row are arranged along a branch corridor at right angles to it. The rows
 may differ in length, which gives L- and T-shaped footprints.
 """
@@ -347,9 +347,10 @@ def _gallery(rng: np.random.Generator, rect: Rect) -> list[Tile]:
 
 
 def plan_large_zoning(spec: HomeSpec, attempt: int, sound: Callable[[Zoning], bool]) -> Zoning:
-    """Return the best of up to 250 plans of a home around a gallery for which ``sound`` confirms doors and windows.
+    """Return the best of up to 250 plans around a gallery for which ``sound`` returns True.
 
-    Rectangles, L and T shapes are tried in random order; the first shape with an acceptable plan is taken.
+    ``sound`` checks the doors and windows of a plan. Rectangles, L and T shapes are tried in random order; the first
+    shape with an acceptable plan is taken.
 
     Raises:
         SceneError: no plan was acceptable.

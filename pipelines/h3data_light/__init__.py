@@ -1,4 +1,4 @@
-"""Light of windows, sun and lamps, baked into the vertex colours of static surfaces, and a light field for moving things.
+"""Light of windows, sun and lamps: baked into vertex colours for static surfaces, and a light field for moving ones.
 
-The group ``h3data.lights`` finds it, so that without this package everything is shown in flat light.
+The package is an entry point of the group ``h3data.lights``. Without it, pictures have flat light.
 """

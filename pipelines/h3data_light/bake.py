@@ -1,9 +1,9 @@
 """Baking of the light of windows, sun and lamps into the vertex colours of meshes.
 
-Vertex colours reach every back end, and multiply with textures, without a kernel that knows about light (an atlas of
-light maps would need a second texture wherever there is one: floors, furniture, scanned homes). Moving things still need the
-one `Light` of the scene. So a static vertex stores the ratio of its own light to that light; all colours are scaled down by
-`HEADROOM` and the light up, so that bright places can be stored.
+Every rendering back end supports vertex colours and multiplies them with textures, so that no kernel needs to compute
+light. (An atlas of light maps would need a second texture on floors, furniture and scanned homes.) Moving objects still
+use the one `Light` of the scene. A static vertex therefore stores the ratio of its own light to that light. All colours
+are divided by `HEADROOM` and the light is multiplied by it, so that bright places can be stored.
 """
 
 from __future__ import annotations
@@ -48,19 +48,19 @@ _DARK = 1e-4
 
 @dataclass(frozen=True)
 class LitScene:
-    """Meshes and instances for a `RenderScene`, and the light for its renderer."""
+    """Meshes and instances with baked light for a `RenderScene`, and the light for its renderer."""
 
     meshes: list[Mesh]
     instances: list[RenderInstance]
     light: Light
     mirrors: dict[int, NDArray[np.float32]]
-    """Light that glossy meshes mirror, for `RenderScene`."""
+    """Light that glossy meshes reflect, by mesh index, for `RenderScene`."""
     field: LightField | None
-    """Light on what moves and its shadows (`Renderer.set_blockers`); None if there is no light to bake."""
+    """Light field for moving objects and their shadows (`Renderer.set_blockers`); None if there is no light to bake."""
 
     @property
     def baked(self) -> bool:
-        """Return whether the meshes carry light; otherwise everything is as it was."""
+        """Return whether the meshes carry baked light; otherwise they are the unchanged input."""
         return self.field is not None
 
 
@@ -73,16 +73,17 @@ def lit_scene(
     light: Light | None = None,
     name: str = "scene",
 ) -> LitScene:
-    """Bake the light of a scene into its static instances; each gets a mesh of its own, after all others.
+    """Bake the light of a scene into its static instances, each of which gets its own mesh.
 
-    The light of a home is computed once and cached (`store`). Triangle ids refer to the refined meshes.
+    New meshes follow the given ones. The light of a home is computed once and cached (`store`). Triangle ids refer to
+    the refined meshes.
 
     Args:
-        meshes: The meshes.
-        instances: Their instances.
+        meshes: Meshes of the scene.
+        instances: Instances of the meshes.
         static: Indices of the instances that never move and whose meshes are not deformable.
         sources: Light sources (`sources_of`).
-        light: The flat light, which moving things get; default `Light()`.
+        light: Flat light of moving objects (default `Light()`).
         name: Name of the scene in messages.
     """
     light = light or Light()
@@ -145,7 +146,7 @@ def bake(
     sources: LightSources,
     light: Light,
 ) -> Baked | None:
-    """Return the meshes of static instances with their light, and the light field between them; None without light."""
+    """Return the meshes of static instances with baked light, and the light field between them; None without light."""
     heap = heap_of(meshes, matrices) if meshes else None
     if heap is None or not len(heap.faces):
         return None

@@ -1,4 +1,4 @@
-"""Light that reaches a point directly: through windows, from lamps and from the sun. Positions are in voxels."""
+"""Direct light at a point from windows, lamps and the sun; positions are in voxels."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from h3data_light.voxels import march
 EMITTER_WORDS = 17
 """Number of values of an emitter: kind, centre, two half sides, normal into the room, power, linear colour.
 
-Of a window, power is its area and the colour that of the sky. Of a lamp, the half sides are its radius. Of a sun, the centre
-is the direction towards it and the half sides its size.
+For a window, power is its area and the colour is that of the sky. For a lamp, the half sides are its radius. For a sun,
+the centre is the direction towards it and the half sides are its size.
 """
 WINDOW, LAMP, SUN = 0, 1, 2
 LAMP_RADIUS = 2.0
 SUN_SPREAD = 0.045
-"""Tangent of the sun's angular radius, larger than in reality: the spacing of vertices blurs its edge."""
+"""Tangent of the sun's angular radius; it is larger than in reality because the spacing of vertices blurs shadow edges."""
 MARKED = 128
 """Number of bits in `Probes.reach`: one for each of the first light sources, windows and lamps before suns."""
 SKY = (2.2, 2.6, 3.0)
 HORIZON = (2.6, 2.6, 2.6)
 GROUND = (0.9, 0.85, 0.75)
-"""Radiance of the sky above, at the horizon, and of the ground outdoors."""
+"""Radiance of the outdoors: the sky above, the horizon, and the ground."""
 
 
 @kernel_part()
 def sky_radiance(up):
-    """Return the radiance from outdoors in a direction with this y."""
+    """Return the outdoor radiance in a direction with upward component ``up``."""
     if up < 0:
         w = min(-up * 4.0, 1.0)
         return (
@@ -46,8 +46,8 @@ def sky_radiance(up):
 def direct_light(distance, x, y, z, nx, ny, nz, emitters, low_bits, high_bits, side):
     """Return the irradiance (r, g, b) of a surface point.
 
-    The bits are those of the emitters that can matter here; ``side`` is the largest number of rays along each side of a
-    window. There is one call of `march` for all kinds of light, because each takes a second to compile.
+    The bits select the emitters that can reach the point. ``side`` is the largest number of rays along each side of a
+    window. All kinds of light share one call of `march`, because each call takes a second to compile.
     """
     red, green, blue = 0.0, 0.0, 0.0
     for e in range(len(emitters)):

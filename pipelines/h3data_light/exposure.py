@@ -21,9 +21,9 @@ _TINT = 0.55
 
 
 def shown_light(irradiance: Any, mean: Any, xp: Any = np) -> Any:
-    """Compute how irradiance [..., 3] appears in a home with this ``mean``: light on a white surface, linear RGB [..., 3].
+    """Return the displayed colour of a white surface under irradiance [..., 3], linear RGB [..., 3].
 
-    ``xp`` is the namespace of the arrays: NumPy or PyTorch.
+    ``mean`` is the mean irradiance of the home. ``xp`` is the namespace of the arrays: NumPy or PyTorch.
     """
     amount = irradiance.mean(-1, keepdims=True)
     tint = 1 + _TINT * (irradiance / amount.clip(1e-9) - 1)
@@ -34,7 +34,7 @@ def shown_light(irradiance: Any, mean: Any, xp: Any = np) -> Any:
 
 
 def flat_light(light: Light, normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the flat light on surfaces with world normals [V, 3], without the light from the camera, shape [V, 3]."""
+    """Return the flat light on surfaces with world normals [V, 3], without the camera light, linear RGB [V, 3]."""
     sky, ground = np.array(light.sky), np.array(light.ground)
     sun, fill = (normals @ normalized(np.array(d)) for d in (light.sun_direction, light.fill_direction))
     out = (sky + ground) / 2 + (sky - ground) / 2 * normals[:, 1:2]

@@ -1,8 +1,8 @@
-"""Light field of a home: direction and amount of light anywhere. It lights moving things, which cast shadows in it.
+"""Light field of a home: the direction and amount of light at any point, for moving objects and their shadows.
 
-Irradiance along six directions (an ambient cube) on a grid of half a metre; between its points, all is interpolated. The
-difference of opposite sides is the light vector (Gershun 1936), the integral of radiance times direction: it points to where
-most light comes from, and its length over the sum of all light says how much of that there is.
+It stores irradiance along six directions (an ambient cube) on a grid of half a metre, with interpolation between grid
+points. The difference of opposite sides is the light vector (Gershun 1936), the integral of radiance times direction.
+It points to where most light comes from, and its length divided by the sum of all light is the share of directed light.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from h3data_light.exposure import shown_light
 from h3data_light.voxels import GLASS, Voxels
 
 SPACING_VOXELS = 10
-"""Number of voxels between two points of the grid."""
+"""Number of voxels between two points of the light field's grid."""
 _RAYS = 64
 _FARTHEST_M = 4.0
 """Shadows do not reach farther."""
 MOST = 0.85
-"""Largest share of the light that comes from one direction; the rest is the sky's and the walls'."""
+"""Largest share of the light that comes from one direction; the rest comes from sky and walls."""
 FROM_DISC = float(0.5 * (1 + 1 / np.sqrt(1 + SPREAD**2)))
-"""Light vector of a disc of light over its light: (1 + cos a) / 2 for its angular radius a."""
+"""Ratio of the light vector of a disc of light to its light: (1 + cos a) / 2 for its angular radius a."""
 _UPWARD, _ABOVE_M = 0.9, 0.4
 """Least upward component of the normals of floors, and height above them of the light that they mirror."""
 _INDOORS = 0.2
@@ -38,7 +38,7 @@ FACE_NORMALS = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1
 
 @dataclass(frozen=True, eq=False)
 class LightAt:
-    """Light at N places."""
+    """Light at N points of a light field."""
 
     direction: NDArray[np.float64]
     """Unit vector towards where most light comes from, shape [N, 3]; up where there is no light."""
@@ -52,26 +52,26 @@ class LightAt:
 
 @dataclass(frozen=True, eq=False)
 class LightField:
-    """Light field as a grid of arrays, which are stored with the baked light (`store`)."""
+    """Light field as a grid of arrays, which is stored with the baked light (`store`)."""
 
     origin: NDArray[np.float64]
-    """World position of the corner of the grid, shape [3] [m]."""
+    """World position of the grid's corner, shape [3] [m]."""
     spacing_m: float
     cube: NDArray[np.float32]
     """Irradiance on surfaces that face -x, +x, -y, +y, -z, +z, shape [X, Y, Z, 6, 3]; NaN within walls."""
     reach_m: NDArray[np.float32]
-    """`LightAt.reach_m` at the points of the grid, shape [X, Y, Z]."""
+    """Value of `LightAt.reach_m` at the grid points, shape [X, Y, Z] [m]."""
     mean: float
     """Mean irradiance of the home's surfaces."""
     flat: NDArray[np.float64]
     """Mean of the flat light over all directions, linear RGB, shape [3]."""
 
     def cubes(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the irradiance at points [N, 3] on surfaces that face -x, +x, -y, +y, -z, +z, shape [N, 6, 3]."""
+        """Return the irradiance [N, 6, 3] at world points [N, 3] [m] on surfaces that face -x, +x, -y, +y, -z, +z."""
         return self._interpolated(np.asarray(points, np.float64))[0]
 
     def at(self, points: NDArray[np.floating]) -> LightAt:
-        """Return the light at points [N, 3] of the world [m]."""
+        """Return the light at world points [N, 3] [m]."""
         cube, reach = self._interpolated(np.nan_to_num(np.asarray(points, np.float64)).reshape(-1, 3))
         bright = cube.mean(-1)
         vector = bright[:, 1::2] - bright[:, 0::2]
@@ -106,12 +106,12 @@ class LightField:
         *,
         members: NDArray[np.integer],
     ) -> Blockers:
-        """Return how much light capsules [N, 7] (both ends and radius) block in this field, and the light on their groups.
+        """Return the light that capsules [N, 7] (both ends and radius) block, and the light on their groups.
 
         Args:
-            capsules: Capsules of all that moves, in the world [m]; rows with NaN are left out.
-            groups: Group of each, 0, 1, ... [N]: those of one person, robot or thing have one direction of the light.
-            members: Group of every instance of the scene, -1 for what stands still, shape [I].
+            capsules: Capsules of all moving objects in the world [m]; rows with NaN are ignored.
+            groups: Group index of each capsule [N]; a person, robot or object is one group with one light direction.
+            members: Group index of every instance of the scene, or -1 for static ones, shape [I].
         """
         c = np.asarray(capsules, np.float64).reshape(-1, 7)
         groups = np.asarray(groups, np.int64).reshape(-1)
@@ -132,7 +132,7 @@ class LightField:
 
 
 def group_means(values: NDArray[np.float64], index: NDArray[np.integer], count: int) -> NDArray[np.float64]:
-    """Return means of the rows [N, K] of each group, shape [count, K]; 0 for groups without rows."""
+    """Return the mean of the rows [N, K] of each group, shape [count, K]; 0 for groups without rows."""
     number = np.maximum(np.bincount(index, minlength=count), 1)
     return np.column_stack([np.bincount(index, column, count) / number for column in values.T])
 
@@ -145,7 +145,7 @@ def light_field(
     mean: float,
     flat: NDArray[np.float64],
 ) -> LightField:
-    """Return the field of a home whose surfaces reflect ``face_light`` and the light of ``probes``."""
+    """Return the light field of a home from the reflected light of its surfaces, ``face_light``, and from ``probes``."""
     distance, n = voxels.distance, SPACING_VOXELS
     place, usable = _places(distance)
     cube = np.zeros((*usable.shape, 6, 3), np.float32)
@@ -178,12 +178,12 @@ def light_field(
 
 
 def mirrored(field: LightField, world: NDArray[np.floating], irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return the light that vertices of a glossy floor mirror from -x, +x, +y, -z and +z, shape [V, 5]; 0 for its sides.
+    """Return the light that vertices of a glossy floor reflect from -x, +x, +y, -z and +z, shape [V, 5].
 
     Args:
-        field: The light around.
+        field: Light field around the floor.
         world: Positions and unit normals, shape [V, 6].
-        irradiance: Their own light [V, 3]: where it is less than in the open, under a table, less is mirrored.
+        irradiance: Irradiance of the vertices [V, 3]; where it is low, such as under a table, less light is reflected.
     """
     out = np.zeros((len(world), 5), np.float32)
     up = np.flatnonzero(world[:, 4] > _UPWARD)
@@ -222,7 +222,7 @@ def _places(distance: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[n
 def free_path(
     distance: NDArray[np.uint8], start: NDArray[np.float64], direction: NDArray[np.float64], longest: float
 ) -> NDArray[np.float64]:
-    """Return how far rays [N, 3] go through free voxels, up to ``longest``, shape [N] [voxels]."""
+    """Return the length of rays [N, 3] through free voxels, up to ``longest``, shape [N] [voxels]."""
     t = np.zeros(len(start))
     going = np.ones(len(start), np.bool_)
     size = np.array(distance.shape)

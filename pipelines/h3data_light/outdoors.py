@@ -1,7 +1,7 @@
-"""Views through window panes: sky, hills, trees and a lawn, painted on the panes with the horizon at eye height.
+"""Views through window panes: sky, hills, trees and a lawn, painted on the panes.
 
-A horizon is at the height of the eye wherever one stands, so a picture on the pane looks right from anywhere in a room
-as far as up and down goes; sideways it moves with the window.
+The horizon is at eye height from every position in a room, so the picture on a pane has the right height everywhere.
+Sideways it moves with the window.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ _PLANE_M = 0.02
 
 
 def with_view(mesh: Mesh, matrix: NDArray[np.float64], *, floor_y: float, shown: float) -> Mesh:
-    """Return a window's mesh whose panes show the outdoors; ``shown`` is the factor from linear colours to vertex colours.
+    """Return a window's mesh with a picture of the outdoors on its panes.
 
-    Panes are the faces in the middle plane of the axis-aligned window. A mesh without any stays as it is.
+    ``shown`` is the factor from linear colours to vertex colours. Panes are the faces in the middle plane of the
+    axis-aligned window. A mesh without panes is returned unchanged.
     """
     mesh = flat_shaded(mesh) if mesh.normals is None else mesh
     place = transform_points(matrix, mesh.vertices.astype(np.float64))
@@ -67,7 +68,7 @@ def with_view(mesh: Mesh, matrix: NDArray[np.float64], *, floor_y: float, shown:
 
 @lru_cache(maxsize=1)
 def outdoors() -> Texture:
-    """Return the picture: it repeats sideways."""
+    """Return the picture of the outdoors, which repeats sideways."""
     width, height = _PIXELS
     x = np.arange(width) / width * 2 * np.pi
     metres = (0.5 - (np.arange(height) + 0.5) / height)[:, None] * _HIGH_M  # above the horizon

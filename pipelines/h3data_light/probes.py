@@ -1,7 +1,7 @@
 """Indirect light: probes on a grid collect the light that surfaces reflect, along six directions (ambient cubes).
 
-After "Dynamic Diffuse Global Illumination with Ray-Traced Irradiance Fields" (Majercik et al. 2019), with the visibility
-of each probe from each point: light does not leak through walls. Positions are in voxels.
+The method follows "Dynamic Diffuse Global Illumination with Ray-Traced Irradiance Fields" (Majercik et al. 2019), with
+the visibility of each probe from each point: light does not leak through walls. Positions are in voxels.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _ROTATIONS = 8
 
 
 class Probes(NamedTuple):
-    """Probes of indirect light, one per block of voxels."""
+    """Probes of indirect light, one for each block of voxels."""
 
     reach: NDArray[np.uint64]
-    """Bits of the windows and lamps that matter in and around a block, shape [X', Y', Z', 2] (`direct.MARKED`)."""
+    """Bits of the windows and lamps that can reach a block, shape [X', Y', Z', 2] (`direct.MARKED`)."""
     place: NDArray[np.float32]
-    """Position of each probe, within its block and away from surfaces, shape [X', Y', Z', 3]."""
+    """Position of each probe within its block, away from surfaces, shape [X', Y', Z', 3] [voxels]."""
     usable: NDArray[np.bool_]
-    """True if there is air in the block, and a surface near, shape [X', Y', Z']."""
+    """True if the block contains air and a surface is near, shape [X', Y', Z']."""
     light: NDArray[np.float32]
     """Irradiance on surfaces that face -x, +x, -y, +y, -z, +z, shape [X', Y', Z', 6, 3]."""
 
@@ -50,13 +50,13 @@ def ray_directions(rays: int) -> NDArray[np.float32]:
 
 @kernel(error_model="numpy", boundscheck=False)
 def find_faces(distance, count, points, normals, indoors):
-    """Choose up to two places on each face of every block; return their number.
+    """Choose up to two surface points on each face of every block, and return their number.
 
-    Places are voxels of the block's surfaces whose neighbour in one of six directions is free.
+    They lie on surface voxels of the block whose neighbour in one of six directions is free.
 
-    Fills ``count`` [X', Y', Z', 6] with the number of places on each face, and for each place its point in the free
-    voxel, its normal, both [N, 3], and whether something is above it [N]; the places of a block lie one after another,
-    in the order of blocks.
+    The function fills ``count`` [X', Y', Z', 6] with the number of points on each face. For each point it fills its
+    position in the free voxel [N, 3], its normal [N, 3], and whether something is above it [N]. The points of a block
+    are consecutive, in the order of blocks.
     """
     places = 0
     n = PROBE_VOXELS
@@ -95,7 +95,7 @@ def find_faces(distance, count, points, normals, indoors):
 
 @kernel(error_model="numpy", boundscheck=False)
 def place_probes(distance, place, usable):
-    """Place each probe at the middle of its block, or where its block is widest if the middle is obstructed."""
+    """Place each probe in the middle of its block, or at the block's widest free point if that is obstructed."""
     n = PROBE_VOXELS
     for bx in range(usable.shape[0]):
         for by in range(usable.shape[1]):
@@ -114,7 +114,7 @@ def place_probes(distance, place, usable):
 
 @kernel(error_model="numpy", boundscheck=False)
 def find_reach(distance, place, usable, emitters, reach):
-    """Set bits of the first `direct.MARKED` windows and lamps of which a probe sees any part, ``reach`` [X', Y', Z', 2]."""
+    """Set the bits ``reach`` [X', Y', Z', 2] of the first `direct.MARKED` windows and lamps that each probe sees."""
     for bx in range(usable.shape[0]):
         for by in range(usable.shape[1]):
             for bz in range(usable.shape[2]):
@@ -199,7 +199,7 @@ def _face(ax, ay, az, dx, dy, dz):
 
 @kernel(error_model="numpy", boundscheck=False)
 def blur(distance, place, usable, light, out, axis):
-    """Average probes with their visible neighbours along an axis, with weights 1 2 1."""
+    """Average probes with their visible neighbours along an axis, with the weights 1, 2, 1."""
     shape = usable.shape
     ax, ay, az = int(axis == 0), int(axis == 1), int(axis == 2)
     for x in range(shape[0]):
@@ -243,8 +243,8 @@ def light_points(distance, points, normals, inward, emitters, side, reach, place
     It is NaN where a point lies inside other surfaces or sees no probe.
 
     ``side`` is the number of rays along each side of a window. Without probes (0 blocks) it is the direct light alone.
-    Points are lifted off their surface by more than a voxel. Those at a corner still lie in the other surface, so they also
-    move ``inward`` [N, 3], towards the middle of their own faces, by little more than a voxel: what lies deeper is hidden.
+    Points are lifted off their surface by more than a voxel. Points at a corner then still lie in the other surface, so
+    they are also moved ``inward`` [N, 3], towards the middle of their own faces, by little more than a voxel.
     """
     shape = usable.shape
     for n in range(len(points)):

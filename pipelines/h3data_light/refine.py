@@ -1,6 +1,6 @@
 """Refinement of the meshes of a scene where light is not linear along an edge, and their smoothed light.
 
-Whether an edge is cut depends on nothing but its ends, so both triangles at an edge agree and no cracks appear.
+Whether an edge is cut depends only on its ends, so both triangles at an edge agree and no cracks appear.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from h3data.mesh.mesh_operations import flat_shaded
 from h3data.srgb import bytes_to_linear
 
 LONGEST_M, SHORTEST_M = 1.5, 0.16
-"""Length above which edges are always cut, and length below which they never are."""
+"""Length above which edges are always cut, and length below which they are never cut [m]."""
 _BEND = 0.075
 """Difference of brightness (square root of light, 1 = mean) between the middle of an edge and the mean of its ends above
 which the edge is cut."""
@@ -45,23 +45,23 @@ LightAt = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64
 
 @dataclass
 class Heap:
-    """Vertices of several meshes with the values interpolated along edges: rows ``x y z nx ny nz r g b u v``, mesh frame."""
+    """Vertices of several meshes with all values that are interpolated along edges, in the mesh frames."""
 
     vertices: NDArray[np.float64]
-    """Attributes of the vertices, shape [V, 11]."""
+    """Attributes ``x y z nx ny nz r g b u v`` of the vertices in their mesh's frame, shape [V, 11]."""
     world: NDArray[np.float64]
     """Positions and unit normals in the world, shape [V, 6]."""
     faces: NDArray[np.int64]
     mesh: NDArray[np.int64]
-    """Mesh of each face, shape [F]."""
+    """Mesh index of each face, shape [F]."""
     textures: NDArray[np.int16]
-    """Texture of each face, shape [F]."""
+    """Texture index of each face, shape [F]."""
     light: NDArray[np.float32]
     """Irradiance at the vertices, shape [V, 3]."""
 
 
 def heap_of(meshes: Sequence[Mesh], matrices: Sequence[NDArray[np.float64]]) -> Heap:
-    """Return the triangles of all meshes. Those without normals get corners of their own for each triangle."""
+    """Return the triangles of all meshes; in meshes without normals, each triangle has its own corners."""
     rows, world, faces, owner, textures = [], [], [], [], []
     start = 0
     for number, (mesh, matrix) in enumerate(zip(meshes, matrices, strict=True)):
@@ -90,7 +90,7 @@ def heap_of(meshes: Sequence[Mesh], matrices: Sequence[NDArray[np.float64]]) -> 
 
 
 def refine(heap: Heap, light_at: LightAt, *, mean: float, lit: NDArray[np.bool_], max_faces: int) -> None:
-    """Compute the light of all vertices and cut edges, in place. Meshes that are not ``lit`` stay as they are."""
+    """Compute the light of all vertices and cut edges, in place; meshes that are not ``lit`` are not changed."""
     pending = lit[heap.mesh]
     parts = [(heap.faces[~pending], heap.mesh[~pending], heap.textures[~pending])]
     faces, mesh, textures = heap.faces[pending], heap.mesh[pending], heap.textures[pending]

@@ -1,7 +1,8 @@
-"""Baked light on disk, by a key of all its inputs, beside the other caches (`h3data.files.cache_folder`).
+"""Cache of baked light on disk, by a key of all its inputs (`h3data.files.cache_folder`).
 
-The key is a digest of the meshes, their poses and textures, the light sources, the flat light and `FORMAT`. Files get their
-names when they are whole, so processes may write at once or be killed. A broken file is made again.
+The key is a digest of the meshes, their poses and textures, the light sources, the flat light and `FORMAT`. Files get
+their final names when they are complete, so processes may write at the same time or be killed. A damaged file is
+computed again.
 """
 
 from __future__ import annotations
@@ -27,22 +28,22 @@ from h3data_light.field import LightField
 log = logging.getLogger(__name__)
 
 FORMAT = 4
-"""Version of the format, a part of the key: raise it whenever the bake changes."""
+"""Version of the cache format, which is part of the key; increase it whenever the baking changes."""
 ROOM_BYTES = 2e9
-"""Size of the cache; the most recently used homes stay."""
+"""Largest size of the cache [bytes]; the least recently used homes are removed."""
 _FIELD = ("origin", "spacing_m", "cube", "reach_m", "mean", "flat")
 _ARRAYS = ("vertices", "faces", "colors", "normals", "uv", "face_textures")
 
 
 class Baked(NamedTuple):
-    """Baked light of a home."""
+    """Baked light of a home, as it is stored in the cache."""
 
     meshes: list[Mesh]
-    """Static meshes with their light."""
+    """Static meshes with their baked light."""
     mirrors: list[NDArray[np.float32] | None]
-    """Light that the vertices of glossy meshes mirror (`RenderScene`), each [V, 5]; None for dull ones."""
+    """Light that the vertices of glossy meshes reflect (`RenderScene`), each [V, 5]; None for other meshes."""
     field: LightField
-    """Light between the surfaces."""
+    """Light field in the space between the surfaces."""
 
 
 def cached(
@@ -53,7 +54,7 @@ def cached(
     light: Light,
     build: Callable[[], Baked | None],
 ) -> Baked | None:
-    """Return the baked light from the cache, else from ``build``, which is cached if possible."""
+    """Return baked light from the cache, or else from ``build``, whose result is cached if possible."""
     folder = cache_folder("light")
     if folder is None:
         return build()

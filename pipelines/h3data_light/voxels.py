@@ -1,7 +1,7 @@
-"""The static surfaces of a scene as voxels with their distance to the nearest surface, for fast rays.
+"""Static surfaces of a scene as voxels with their distance to the nearest surface, for fast ray casting.
 
-All positions are in voxels: world = origin + cell * position. A ray takes a step as long as the distance in the voxel
-where it is, so that it crosses a room in about ten steps.
+All positions are in voxels: world = origin + cell * position. A ray advances by the distance stored in its current
+voxel, so that it crosses a room in about ten steps.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from h3data.kernels import kernel, kernel_part
 
 CELL_M = 0.05
 MAX_VOXELS = 12_000_000
-"""Number of voxels above which a scene gets larger ones."""
+"""Largest number of voxels; scenes that need more get larger voxels."""
 MARGIN_M = 0.5
 PROBE_VOXELS = 5
 """Number of voxels along the side of a block; each block has one probe and one mean colour per axis."""
@@ -27,12 +27,12 @@ _HOLLOW_M3 = 3.0
 
 
 class Voxels(NamedTuple):
-    """Voxels of a scene."""
+    """Voxel grid of a scene, with distances and colours."""
 
     distance: NDArray[np.uint8]
-    """Chebyshev distance to the nearest surface, 0 = surface, or `GLASS`, shape [X, Y, Z]."""
+    """Chebyshev distance to the nearest surface (0 in surfaces) or `GLASS`, shape [X, Y, Z] [voxels]."""
     albedo: NDArray[np.float32]
-    """Mean linear colour of the surfaces in a block that face along x, y and z, shape [X', Y', Z', 3, 3]."""
+    """Mean linear colour of the surfaces in each block that face along x, y and z, shape [X', Y', Z', 3, 3]."""
     origin: NDArray[np.float64]
     cell_m: float
 
@@ -42,7 +42,7 @@ def voxelise(
 ) -> Voxels:
     """Return the voxels of triangles [F, 3, 3] [m] with linear colours [F, 3]; ``glass`` [F] are window panes.
 
-    Hollows inside furniture are filled, but none with one of the ``lamps`` [L, 3] in it.
+    Hollows inside furniture are filled, except those that contain one of the ``lamps`` [L, 3] [m].
     """
     from scipy.ndimage import distance_transform_cdt
 
@@ -125,9 +125,10 @@ def _reachable(free: NDArray[np.bool_], *, lamps: NDArray[np.float64], cell_m: f
 
 @kernel_part()
 def march(distance, x, y, z, dx, dy, dz, length, through_glass):
-    """Follow a ray for ``length`` times its direction, whose largest component is 1.
+    """Follow a ray for ``length`` [voxels] times its direction, whose largest component is 1.
 
-    Returns what ended it (0 = escaped or at its end, 1 = surface, 2 = pane), the last free voxel and the one that was hit.
+    The function returns the result (0: escaped or at its end, 1: surface, 2: window pane), the last free voxel and the
+    hit voxel.
     """
     nx, ny, nz = distance.shape
     t = np.float32(0.0)
@@ -151,7 +152,7 @@ def march(distance, x, y, z, dx, dy, dz, length, through_glass):
 
 @kernel_part()
 def sees(distance, x, y, z, tx, ty, tz):
-    """Return whether nothing lies between two points."""
+    """Return whether no surface lies between two points [voxels]."""
     dx, dy, dz = tx - x, ty - y, tz - z
     length = max(abs(dx), abs(dy), abs(dz))
     if length < 1e-6:

@@ -1,4 +1,4 @@
-"""Meshes in files other than glTF (Collada, OBJ, PLY, STL) for the group ``h3data.meshes``, and a codec of glTF files."""
+"""Readers of mesh files other than glTF (Collada, OBJ, PLY, STL) for the group ``h3data.meshes``, and a glTF codec."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from h3data_meshes.trimesh_files import FilesBeside, read_with_trimesh
 
 
 def collada_parts(path: Path) -> list[tuple[Mesh, Array]]:
-    """Return parts of a Collada file with the 4x4 matrices that place them."""
+    """Return the parts of a Collada file, with the 4x4 matrices that place them."""
     beside = FilesBeside(path)
     parts = [(part.mesh, part.matrix) for part in read_collada(path, beside.get)]
     beside.warn()
@@ -19,5 +19,5 @@ def collada_parts(path: Path) -> list[tuple[Mesh, Array]]:
 
 
 def trimesh_parts(path: Path) -> list[tuple[Mesh, Array]]:
-    """Return parts of an OBJ, PLY or STL file, which are in place."""
+    """Return the parts of an OBJ, PLY or STL file, with identity matrices."""
     return [(part, np.eye(4)) for part in read_with_trimesh(path)]

@@ -1,7 +1,7 @@
-"""Reading of Collada files (1.4, 1.5): the scene graph, triangles and polygons with holes, colours and textures.
+"""Reader of Collada files (1.4, 1.5): scene graph, triangles and polygons with holes, colours and textures.
 
-What is shown is unit x up_axis x nodes x vertices, as Gazebo and Bullet place it: metres, +Z up whatever the file's own
-``up_axis`` is, the frame of robots.
+Vertices are transformed by unit x up_axis x nodes, as in Gazebo and Bullet. The result is in metres with +Z up for any
+``up_axis`` of the file, which is the frame of robots.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ _PRIMITIVES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColladaPart:
-    """Triangles of one primitive with separate corners, as one node places them."""
+    """Triangles of one primitive with separate corners, with the matrix of the node that places them."""
 
     mesh: Mesh
     """Mesh in the geometry's own frame and units."""
     matrix: Array
-    """Matrix to metres and +Z up, 4x4."""
+    """Matrix from the geometry's frame to metres and +Z up, 4x4."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,10 +72,10 @@ class _Look:
 
 
 def read_collada(path: Path, resource: Callable[[str], bytes]) -> list[ColladaPart]:
-    """Return the parts that the file's scene shows; ``resource`` gives the bytes of an image by its name in the file.
+    """Return the parts of the file's scene; ``resource`` returns the bytes of an image by its name in the file.
 
     Raises:
-        SceneError, ValueError, ParseError: the file is damaged; the message says where, `h3data.mesh.loading` adds the file.
+        SceneError, ValueError, ParseError: the file is damaged; the message states where.
     """
     return list(_Collada(path, resource).parts())
 

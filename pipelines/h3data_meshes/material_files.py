@@ -1,4 +1,4 @@
-"""Options of images in MTL files, which trimesh mistakes for a part of the image's name."""
+"""Support for options of images in MTL files, which trimesh mistakes for a part of the image's name."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _UV_KEY = "h3data_uv"
 
 
 def mtl_with_plain_names(data: bytes) -> bytes:
-    """Return an MTL file's bytes with plain names after ``map_Kd``, without its options.
+    """Return an MTL file's bytes with plain image names after ``map_Kd``, without options.
 
-    ``-s`` and ``-o``, the scale and the offset of the image, become a line that `material_uv` reads again.
+    ``-s`` and ``-o``, the scale and the offset of the image, are moved to a separate line, which `material_uv` reads.
     """
     return _MAP.sub(lambda found: _plain(found[1], found[2].decode("utf-8", "surrogateescape")), data)
 
@@ -54,7 +54,7 @@ def _plain(key: bytes, rest: str) -> bytes:
 
 
 def material_uv(material: Any, uv: Array) -> Array:
-    """Return texture coordinates [V, 2] in the image that a material of trimesh repeats and moves."""
+    """Return texture coordinates [V, 2] for the image that a material of trimesh scales and shifts."""
     numbers = getattr(material, "kwargs", {}).get(_UV_KEY)
     if numbers is None:
         return uv

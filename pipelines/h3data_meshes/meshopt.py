@@ -1,7 +1,7 @@
-"""Decoding of buffer views of the glTF extension EXT_meshopt_compression, from its specification (appendices A and B).
+"""Decoder of the glTF extension EXT_meshopt_compression, from its specification (appendices A and B).
 
-Python has no maintained decoder (meshoptimizer's bindings are an alpha that needs a C++ compiler), and gltfpack's files are
-common. The bit streams are read by compiled kernels that check every byte they ask for; the filters are plain NumPy.
+Python has no maintained decoder (meshoptimizer's bindings are an alpha that needs a C++ compiler), and files of
+gltfpack are common. Compiled kernels read the bit streams and check every byte access. The filters are plain NumPy.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 
 BYTES_MAX = 1 << 30
-"""Largest unpacked size of a view; larger ones are refused before anything is allocated."""
+"""Largest uncompressed size of a view [bytes]; larger ones are refused before memory is allocated."""
 _ATTRIBUTES, _TRIANGLES, _INDICES = 0xA0, 0xE1, 0xD1
 """First byte of a stream of each mode."""
 _BLOCK_BYTES, _BLOCK_ELEMENTS, _GROUP = 8192, 256, 16
@@ -28,14 +28,14 @@ def decode_view(data: bytes | memoryview, *, mode: str, filter: str, count: int,
     """Return the bytes [count * stride] of a compressed buffer view.
 
     Args:
-        data: The compressed stream, no byte more.
+        data: Compressed stream, without further bytes.
         mode: ``ATTRIBUTES``, ``TRIANGLES`` or ``INDICES``.
         filter: ``NONE``, ``OCTAHEDRAL``, ``QUATERNION`` or ``EXPONENTIAL``.
         count: Number of elements.
         stride: Bytes per element.
 
     Raises:
-        ValueError: The stream is damaged, of a later version, or does not go with the other arguments.
+        ValueError: The stream is damaged, has a later version, or does not fit the other arguments.
     """
     stream = np.frombuffer(data, np.uint8)
     if count * stride > BYTES_MAX:

@@ -1,6 +1,7 @@
-"""Rewriting of OBJ and PLY files whose polygons are not all triangles, so that trimesh reads triangles of the same area.
+"""Conversion of OBJ and PLY files with polygons to files with triangles of the same area, for trimesh.
 
-Files of triangles only come back as they are. What cannot be understood comes back as it is too: trimesh then says why.
+Files with triangles only are returned unchanged. So are files that cannot be parsed, for which trimesh then reports the
+error.
 """
 
 from __future__ import annotations

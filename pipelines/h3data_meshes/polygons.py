@@ -1,4 +1,4 @@
-"""Triangulation of polygons of any shape: concave ones, with holes, self-touching, not quite flat."""
+"""Triangulation of polygons of any shape: concave, with holes, self-touching, or not quite flat."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ _TRIED_FANS = 4
 
 
 def triangulated(points: Array, counts: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return triangles [F, 3] as indices into ``points``, and the polygon of each [F]; order and winding are the polygons'.
+    """Return triangles [F, 3] as indices into ``points``, and the polygon of each [F], with order and winding kept.
 
-    ``points`` [N, 3] are the corners of one polygon after another, ``counts`` [P] how many each has. Convex polygons become
-    the fan around their first corner. Polygons of fewer than three corners are left out. Every other polygon gives
-    ``count - 2`` triangles; where one crosses itself, which has no right answer, they only keep its corners.
+    ``points`` [N, 3] are the corners of one polygon after another, and ``counts`` [P] the numbers of their corners.
+    Convex polygons become the fan around their first corner. Polygons with fewer than three corners are ignored. Every
+    other polygon gives ``count - 2`` triangles. For polygons that cross themselves, which have no unique triangulation,
+    the triangles only use the same corners.
     """
     counts = np.asarray(counts, np.int64)
     starts = np.cumsum(counts) - counts
@@ -48,9 +49,9 @@ def triangulated(points: Array, counts: NDArray[np.integer]) -> tuple[NDArray[np
 
 
 def with_holes(outline: Array, holes: Sequence[Array]) -> NDArray[np.int64]:
-    """Return one closed walk around a polygon with holes: indices into the concatenation of ``outline`` and ``holes`` [*, 3].
+    """Return a closed outline of a polygon with holes, as indices into ``outline`` and ``holes`` [*, 3] joined.
 
-    Each hole is joined to what is around it by a bridge that is walked in both directions.
+    Each hole is connected to the outline by a bridge, which is traversed in both directions.
     """
     rings = [np.asarray(ring, np.float64) for ring in (outline, *holes) if len(ring)]
     starts = np.cumsum([0, *map(len, rings)])

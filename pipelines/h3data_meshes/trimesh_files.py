@@ -24,10 +24,10 @@ _TRIANGLES_OF = {"obj": obj_of_triangles, "ply": ply_of_triangles}
 
 
 def read_with_trimesh(path: Path) -> list[Mesh]:
-    """Read the meshes of a file in its own frame and units. Raises whatever trimesh's readers raise.
+    """Read the meshes of a file in its own frame and units with trimesh, including its exceptions.
 
-    Material files and images that the file names are read from its folder or below, nowhere else: one warning if they are
-    missing or lie outside. They only paint: the triangles are all in the file itself.
+    Material files and images that the file names are read from its folder or below, and from nowhere else. There is one
+    warning if some are missing or lie outside. They only affect colours, because all triangles are in the file itself.
     """
     import trimesh
 
@@ -43,7 +43,7 @@ def read_with_trimesh(path: Path) -> list[Mesh]:
 
 
 class FilesBeside:
-    """Resolver of the files that a mesh file names; it lists those that are outside its folder or missing."""
+    """Resolver of the files that a mesh file names, which records those that are missing or outside its folder."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -53,7 +53,7 @@ class FilesBeside:
     def get(self, name: Any) -> bytes:
         """Return the content of a file that the mesh file names, relative to the mesh file's folder.
 
-        MTL files come back with plain names of materials.
+        MTL files are returned with plain image names.
 
         Raises:
             FileNotFoundError: the name leads outside the folder.
@@ -74,7 +74,7 @@ class FilesBeside:
     __getitem__ = get
 
     def warn(self) -> None:
-        """Warn about the first name that leads nowhere."""
+        """Warn about the first named file that is missing or outside the folder."""
         if self.outside:
             _log.warning(
                 "the name %r leads out of the file's folder, which is not followed: its surfaces show other colours: %s",

@@ -1,1 +1,4 @@
-"""Motions of people from other sources (AMASS, BVH, Habitat): files, retargeting, cycles, walks; ``h3data motion``."""
+"""Import of human motion from other sources (AMASS, BVH, Habitat): files, retargeting, cycles and walks.
+
+The commands are ``h3data motion``.
+"""

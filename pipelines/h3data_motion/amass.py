@@ -1,8 +1,8 @@
-"""AMASS and other SMPL motion: npz files of axis-angle rotations, for SMPL-X, SMPL-H and SMPL skeletons.
+"""Reader of AMASS and other SMPL motion: npz files of axis-angle rotations for SMPL-X, SMPL-H and SMPL skeletons.
 
-The skeletons of SMPL differ in length, not in meaning: their rotations apply to ours by index (research/humanoids.md 2).
-``trans`` is not the pelvis: that is ``J0(betas) + trans``, and J0 is known to the model file alone. It is a constant, so
-only heights are off, which fitting to a body finds again.
+The SMPL skeletons differ in the number of joints, not in their meaning, so their rotations apply to ours by index
+(research/humanoids.md 2). ``trans`` is not the position of the pelvis, which is ``J0(betas) + trans``, and J0 is only
+in the model file. It is a constant, so only heights are wrong, and retargeting to a body corrects them.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Up = Literal["z", "y"]
 
 
 def is_amass(names: tuple[str, ...]) -> bool:
-    """Return whether an npz with these arrays holds SMPL motion."""
+    """Return whether an npz file with these array names contains SMPL motion."""
     return POSES_KEY in names or any(k in names for k in BODY_KEYS)
 
 
@@ -53,7 +53,7 @@ def read_amass(path: str | Path, *, up: Up = "z", fps: float | None = None, sour
     Args:
         path: npz file; pickled members are not read.
         up: axis of the file's world that points up: z in AMASS, y in some other sets.
-        fps: frames per second, if the file does not say.
+        fps: frames per second, if the file does not state them.
         source: origin and licence; AMASS' own terms are named if empty.
 
     Raises:

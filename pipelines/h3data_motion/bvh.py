@@ -1,4 +1,4 @@
-"""BVH files (Biovision Hierarchy): a tree of joints with offsets, then one line of channel values per frame."""
+"""Parser of BVH files (Biovision Hierarchy): a tree of joints with offsets, then a line of channel values per frame."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _COMMENT = re.compile(r"(^|\s)(#|//).*")
 
 
 class BvhWarning(UserWarning):
-    """Warning about a file with one frame more or less than it states, as some programs write it."""
+    """Warning about a file with one frame more or less than it states, as some programs write."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BvhJoint:
-    """Joint of a skeleton; end sites are joints without channels."""
+    """Joint of a BVH skeleton; end sites are joints without channels."""
 
     name: str
     parent: int
@@ -33,13 +33,13 @@ class BvhJoint:
     offset: tuple[float, float, float]
     """Position of the joint in its parent's frame, in the units of the file."""
     channels: tuple[str, ...]
-    """Names of the channels in lower case, in the order of their values, in which rotations also apply."""
+    """Names of the channels in lower case, in the order of their values; rotations are applied in this order."""
     end_site: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bvh:
-    """A parsed file: angles in degrees, lengths in its own units."""
+    """Parsed BVH file, with angles in degrees and lengths in the units of the file."""
 
     joints: tuple[BvhJoint, ...]
     """Joints, parents before children."""
@@ -49,16 +49,16 @@ class Bvh:
     """Duration of a frame [s]."""
 
     def rest_places(self) -> Array:
-        """Return joint places without any rotation, shape [J, 3]; the root at its offset."""
+        """Return joint positions without rotations, shape [J, 3] in the units of the file, with the root at its offset."""
         places = np.zeros((len(self.joints), 3))
         for k, joint in enumerate(self.joints):
             places[k] = np.array(joint.offset) + (places[joint.parent] if joint.parent >= 0 else 0)
         return places
 
     def forward_kinematics(self) -> tuple[Array, Array]:
-        """Return the world rotations xyzw [T, J, 4] and places [T, J, 3] of all joints, in the axes and units of the file.
+        """Return the world rotations xyzw [T, J, 4] and positions [T, J, 3] of all joints, in the file's axes and units.
 
-        A position channel stands for that part of the joint's offset, as exporters of today write it.
+        A position channel replaces that component of the joint's offset, as current exporters write it.
         """
         frames, column = len(self.values), 0
         quats, places = np.empty((frames, len(self.joints), 4)), np.empty((frames, len(self.joints), 3))
@@ -103,7 +103,7 @@ def read_bvh_file(path: str | Path) -> Bvh:
 
 
 def parse_bvh(text: str, where: str = "text") -> Bvh:
-    """Parse the text of a BVH file as `read_bvh_file` does; ``where`` is named in errors."""
+    """Parse the text of a BVH file like `read_bvh_file`; ``where`` is the name in error messages."""
     reader = _Reader([_COMMENT.sub("", line) for line in text.splitlines()], where)
     joints = _hierarchy(reader)
     reader.expect("MOTION")

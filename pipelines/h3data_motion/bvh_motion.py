@@ -1,7 +1,7 @@
-"""BVH motion on the SMPL-X skeleton: joints by name, rest poses by rotation (h3data docs motion).
+"""Conversion of BVH motion to the SMPL-X skeleton, with joints matched by name (h3data docs motion).
 
-A file's joint j has the world rotation G_j, ours H_j = G_j A_j, where A_j turns our T-pose into the file's pose without
-rotations. Local rotations are then q' = H_parent^-1 H_j, that is A_parent^-1 q A_j where no joint lies between.
+Joint j of the file has the world rotation G_j, and ours has H_j = G_j A_j, where A_j rotates our T-pose into the file's
+rest pose. Local rotations are then q' = H_parent^-1 H_j, which is A_parent^-1 q A_j if no joint lies between.
 """
 
 from __future__ import annotations
@@ -68,9 +68,9 @@ BONES: dict[str, tuple[str, tuple[float, float, float]]] = {
         ("elbow", "wrist", "aside"),
     )
 }
-"""Limbs that are straight in a T-pose: joint, next joint, and direction."""
+"""Limbs that are straight in a T-pose, as joint, next joint, and direction in the body frame."""
 UNITS_M = (1.0, 0.01, 0.0254, 0.0564444, 0.001)
-"""Units of length [m]: metre, centimetre, inch, CMU's unit, millimetre."""
+"""Candidate units of length [m]: metre, centimetre, inch, CMU's unit, millimetre."""
 LEG_M = (0.5, 1.2)
 """Least and greatest length of a person's leg (hip to ankle) [m]."""
 TILT_DEG, BEND_DEG = 30.0, 100.0
@@ -84,14 +84,15 @@ class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """
 
     joints: dict[str, str]
-    """Names of joints in the file by SMPL-X name; only letters and digits count. Those of `REQUIRED` must be there."""
+    """Names of joints in the file by SMPL-X name; only letters and digits are compared. Joints in `REQUIRED` must be
+    included."""
     axes: dict[str, str] = {}
-    """Directions of x, y and z of the joint's frame in a T-pose by SMPL-X name, as "up forward left"; for files whose
-    pose without rotations is no person."""
+    """Directions of the x, y and z axes of joint frames in a T-pose by SMPL-X name, such as "up forward left"; for
+    files whose rest pose is not that of a person."""
     unit_m: float | None = None
     """Metres per unit; guessed from the length of the legs if it does not fit or is not given."""
     feet_follow_shanks: bool = False
-    """True if the feet are turned as the shanks are in the rest pose; False if they are flat."""
+    """True if the feet rotate with the shanks in the rest pose; False if they are flat."""
     foot_slope_deg: float = 0.0
     """Angle by which the x axis of a flat foot points down, with ``axes`` [deg]."""
 
@@ -140,10 +141,10 @@ def read_bvh(
     """Return the motion in a BVH file, with the rest pose corrected to our T-pose.
 
     Args:
-        path: The file.
+        path: BVH file.
         names: Table of joint names: built-in or a TOML file; None takes the built-in one that fits best.
-        unit_m: Metres per unit of the file; None: the table's, or what makes the legs those of a person.
-        source: Origin and licence.
+        unit_m: Metres per unit of the file; None: the table's, or a unit that gives legs of human length.
+        source: Origin and licence, stored with the motion.
 
     Raises:
         FormatError: the file is damaged, or its skeleton fits no table.

@@ -1,4 +1,4 @@
-"""Free motion of a person, frame by frame, from any source. Cycles for walking are `h3data.bodies.Clip`."""
+"""Motion of a person as frames of poses, from any source; `h3data.bodies.Clip` has cycles for walking."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ UNIT_WITHIN = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """Poses of the 55-joint skeleton over time, in the start frame: x forward, y up, z right, as the agent root frame.
+    """Poses of the 55-joint skeleton over time, in the start frame (x forward, y up, z right).
 
-    The origin lies below the pelvis of the first frame, which looks along x. Heights are as recorded: which of them is
+    The origin is below the pelvis of the first frame, which faces along x. Heights are as recorded, and the height of
     the floor is found when the motion is fitted to a body (`h3data_motion.retarget.retarget`).
 
     Raises:
@@ -38,14 +38,14 @@ class Motion:
     fps: float
     """Number of frames per second."""
     quats: Array
-    """Local joint rotations xyzw, SMPL-X order, shape [T, 55, 4], sign-continuous; the pelvis' is in the start frame
-    (its own axes: +Z forward, +Y up, +X left)."""
+    """Local joint rotations xyzw in SMPL-X order, shape [T, 55, 4], sign-continuous. The pelvis rotation is relative to
+    the start frame (its own axes are +Z forward, +Y up, +X left)."""
     pelvis: Array
     """Position of the pelvis joint in the start frame, shape [T, 3] [m]."""
     leg_m: float | None = None
-    """Lengths of thigh and shank of the person who performed the motion [m]; None: the file does not say."""
+    """Length of thigh plus shank of the person who performed the motion [m]; None if the file does not state it."""
     body: str = ""
-    """Body that the motion was fitted to; empty: as recorded."""
+    """Body to which the motion was fitted; empty for motion as recorded."""
     source: str = ""
     """Origin and licence of the motion."""
 
@@ -64,14 +64,14 @@ class Motion:
 
     @property
     def path_m(self) -> float:
-        """Length of the path of the pelvis along the floor, without shaking below 0.1 s [m]."""
+        """Length of the pelvis' path along the floor, without jitter shorter than 0.1 s [m]."""
         step = max(1, round(0.1 * self.fps))
         return float(np.linalg.norm(np.diff(self.pelvis[::step, ::2], axis=0), axis=1).sum())
 
     def pose(self, time_s: ArrayLike) -> tuple[Array, Array]:
-        """Return local rotations [N, 55, 4] and pelvis places [N, 3] at times [N] [s].
+        """Return local rotations [N, 55, 4] and pelvis positions [N, 3] [m] at times [N] [s].
 
-        Before and after the motion, its end poses hold.
+        Before and after the motion, its first and last pose are returned.
 
         Between frames rotations are blended along the shorter arc.
         """
@@ -94,7 +94,7 @@ class Motion:
         return replace(self, fps=float(fps), quats=quats, pelvis=pelvis)
 
     def part(self, start_s: float, end_s: float) -> Motion:
-        """Return the motion from ``start_s`` to ``end_s``, in a start frame of its own."""
+        """Return the motion from ``start_s`` to ``end_s`` [s], in its own start frame."""
         first, last = (round(float(np.clip(t, 0, self.duration_s)) * self.fps) for t in (start_s, end_s))
         if last <= first:
             raise InputError(
@@ -129,7 +129,7 @@ def _faults(motion: Motion) -> list[str]:
 
 
 def in_start_frame(motion: Motion) -> Motion:
-    """Turn and shift a motion along the floor into its start frame, with rotations of continuous sign."""
+    """Return a motion moved along the floor into its start frame, with sign-continuous rotations."""
     heading = float(pelvis_heading(motion.quats[:1, 0])[0])
     turn = quat_from_heading(-heading)
     origin = motion.pelvis[0] * (1, 0, 1)
@@ -139,7 +139,7 @@ def in_start_frame(motion: Motion) -> Motion:
 
 
 def pelvis_heading(quats: Array) -> Array:
-    """Return headings [T] [rad] of pelvis frames [T, 4] (+Z forward): of the front, or of the head if the person lies flat."""
+    """Return headings [T] [rad] of pelvis frames [T, 4] (+Z forward), or those of the head for a person who lies flat."""
     front = quat_rotate(quats, np.array([0.0, 0, 1]))
     head = quat_rotate(quats, np.array([0.0, 1, 0]))
     lying = np.hypot(front[:, 0], front[:, 2]) < 0.2
@@ -148,14 +148,14 @@ def pelvis_heading(quats: Array) -> Array:
 
 
 def turned_frames(turn: Array, quats: Array, pelvis: Array) -> tuple[Array, Array]:
-    """Return pelvis rotations and places of frames in a world that is turned by the quaternion ``turn`` [4]."""
+    """Return pelvis rotations [T, 4] and positions [T, 3] in a world that is rotated by the quaternion ``turn`` [4]."""
     out = np.array(quats, np.float64)
     out[:, 0] = quat_multiply(turn, out[:, 0])
     return out, quat_rotate(turn, pelvis)
 
 
 def same_motion(a: Motion, b: Motion) -> tuple[float, float]:
-    """Return the largest difference of two motions of equal length: rotations [rad] and pelvis places [m]."""
+    """Return the largest differences of two motions of equal length in rotations [rad] and pelvis positions [m]."""
     between = quat_multiply(quat_conjugate(a.quats), b.quats)
     angle = 2 * np.arctan2(np.linalg.norm(between[..., :3], axis=-1), np.abs(between[..., 3]))
     return float(angle.max()), float(np.abs(a.pelvis - b.pelvis).max())

@@ -1,4 +1,4 @@
-"""Commands ``h3data motion``: import of motion capture (AMASS, Habitat, BVH), and pictures of it on our bodies."""
+"""Commands ``h3data motion``: import of motion capture (AMASS, Habitat, BVH), and pictures of it."""
 
 from __future__ import annotations
 
@@ -44,9 +44,10 @@ UnitChoice = Annotated[
 
 @dataclass(frozen=True)
 class MotionImport:
-    """Convert motion files to .npz files that all h3data commands read. Folders are searched recursively.
+    """Convert motion files to .npz files that all h3data commands read.
 
-    Without --body, the motion stays as recorded and is retargeted whenever it is used; with --body, it is retargeted once.
+    Folders are searched recursively. Without --body, the motion stays as recorded and is retargeted at each use. With
+    --body, it is retargeted once.
 
     Examples:
         h3data motion import walk.bvh -o motions/
@@ -125,7 +126,7 @@ class MotionImport:
 
 @dataclass(frozen=True)
 class MotionShow:
-    """Render motion as poses side by side (.png, .jpg) or as a video (.mp4). Without -o, only print facts about it.
+    """Render motion as poses side by side (.png, .jpg) or as a video (.mp4); without -o, only print facts about it.
 
     Examples:
         h3data motion show walk.bvh
@@ -308,7 +309,7 @@ def _labelled(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 def write_video(motion: Motion, body: Humanoid, name: str, target: Path) -> int:
     """Write an MP4 of a body performing a motion, at 30 frames/s, and return the number of frames.
 
-    ``name`` is that of a built-in body or the path of the body's .npz file.
+    ``name`` is the name of a built-in body or the path of the body's .npz file.
     """
     from h3data.render import VideoWriter
     from h3data.replay import Replay

@@ -1,8 +1,8 @@
-"""Planting of feet: contact with the floor is detected by height and speed, and legs are solved anew.
+"""Correction of sliding feet: floor contact is detected by height and speed, and legs follow by inverse kinematics.
 
-A foot on the floor rolls over its heel, the ball below its toe joint, and the tip of its toes, whichever is lowest; the
-rotations of the foot stay, so its path follows: the lowest point rests while it is the lowest. Before and after, the
-correction fades from one stance to the next. Everything is in a frame with the floor at y = 0.
+A foot on the floor rolls over its heel, the ball below its toe joint, and the tip of its toes, whichever is lowest; The
+rotations of the foot are kept, and its lowest point rests while it is the lowest. Between two stances the correction is
+interpolated. All coordinates are in a frame with the floor at y = 0.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from h3data.geometry import (
 )
 
 LOW_M, SLOW_MPS = 0.04, 0.25
-"""Height and speed that decide contact: a point of a sole touches the floor if height / LOW_M + speed / SLOW_MPS is
-below 1. On the floor it may slide, as it does on a body of other proportions; in the air it counts only if it rests."""
+"""Height [m] and speed [m/s] that decide contact. A point of a sole touches the floor if height / LOW_M + speed /
+SLOW_MPS is below 1. A point on the floor may slide, as on a body of other proportions."""
 SPEED_S = 1 / 60
-"""Time before and after over which speeds are measured; the smaller one counts [s]."""
+"""Time before and after a frame over which speeds are measured [s]; the smaller speed is used."""
 GAP_S, STANCE_S = 0.06, 0.10
 """Longest interruption of a stance that is ignored, and shortest stance that counts [s]."""
 SLIDE_M = 0.20
@@ -41,16 +41,17 @@ SINK_S = 0.12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contacts:
-    """Contacts of soles with the floor."""
+    """Contacts of the soles of both feet with the floor over time."""
 
     touching: NDArray[np.bool_]
     """True if the left or right foot touches the floor, shape [T, 2]."""
     slide_m: Array
-    """Distance by which the lowest point of a touching sole moved along the floor since the frame before, shape [T, 2]."""
+    """Distance that the lowest point of a touching sole moved along the floor since the previous frame, shape [T, 2]
+    [m]."""
 
 
 def find_contacts(points: Array, fps: float) -> Contacts:
-    """Return which soles touch the floor, from `sole_points` [T, 2, 3, 3] at ``fps`` frames/s."""
+    """Return the floor contacts of soles, from `sole_points` [T, 2, 3, 3] [m] at ``fps`` frames/s."""
     span = max(1, min(round(SPEED_S * fps), len(points) - 1))
     way = np.linalg.norm(points[span:] - points[:-span], axis=-1)
     ends = np.full((span, *way.shape[1:]), np.inf)
@@ -87,7 +88,7 @@ def _without_short(mask: NDArray[np.bool_], gap: int, least: int) -> NDArray[np.
 
 
 def planted(body: Humanoid, quats: Array, pelvis: Array, fps: float) -> tuple[Array, Array]:
-    """Return rotations [T, 55, 4] and pelvis places [T, 3] with feet that neither slide nor sink into the floor (y = 0)."""
+    """Return rotations [T, 55, 4] and pelvis positions [T, 3] with feet that neither slide nor sink below y = 0."""
     frames = leg_frames(body, quats, pelvis)
     points = sole_points(body, frames)
     touching = find_contacts(points, fps).touching
@@ -143,10 +144,10 @@ def _sinking(body: Humanoid, frames: Array, ankles: Array, fps: float) -> Array:
 
 
 def legs_to(body: Humanoid, quats: Array, pelvis: Array, ankles: Array) -> Array:
-    """Return rotations [T, 55, 4] with hips and knees turned so that the ankles are at ``ankles`` [T, 2, 3].
+    """Return rotations [T, 55, 4] with hips and knees rotated so that the ankles are at ``ankles`` [T, 2, 3] [m].
 
-    They turn as little as possible, and the feet keep their rotations in the world. The solution is that of two bones
-    in closed form: the knee bends about its own axis, then the leg swings.
+    The joints rotate as little as possible, and the feet keep their rotations in the world. The solution is the closed
+    form for two bones: the knee bends about its own axis, then the leg swings.
     """
     out = np.array(quats, np.float64)
     frames = leg_frames(body, quats, pelvis)
@@ -189,7 +190,8 @@ def _shortest_turn(a: Array, b: Array) -> Array:
 def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:
     """Return frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of both legs, in the frame of ``pelvis`` [T, 3].
 
-    As `h3data.bodies.people.kernels.clips.joint_frames`, for these joints alone: a seventh of the memory.
+    It computes the same as `h3data.bodies.people.kernels.clips.joint_frames`, but only for these joints and with a
+    seventh of the memory.
     """
     frames = np.zeros((len(quats), 2, 4, 4, 4))
     frames[..., 3, 3] = 1

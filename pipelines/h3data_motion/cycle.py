@@ -1,4 +1,4 @@
-"""Cyclic clips from a free motion: the best loop is found, straightened, closed, and its feet planted."""
+"""Extraction of cyclic clips from a free motion: the best loop is found, straightened and closed, and feet are planted."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ from h3data_motion.contacts import find_contacts, leg_frames, planted
 from h3data_motion.retarget import retarget
 
 COMPARED = 22
-"""Joints that are compared: all but fingers and face."""
+"""Number of joints that are compared: all except fingers and face."""
 VELOCITY_S = 0.15
-"""Weight of a difference in velocity: 1 m/s counts as this many metres of distance [s]."""
+"""Weight of a velocity difference when poses are compared [s]: 1 m/s counts as this many metres."""
 SEARCH_FPS = 60.0
 ALIKE = 0.1
-"""Share of the variation of poses by which a shorter loop may close worse than the best one: one cycle is preferred to
-two."""
+"""Share of the variation of poses by which a shorter loop may close worse than the best one, so that one cycle is
+preferred to two."""
 WALKS_M, TURNS_RAD = 0.15, np.radians(20.0)
-"""Distance per cycle above which a clip is played by distance, and turn per cycle above which it is played by the turn."""
+"""Distance per cycle above which a clip is played by distance [m], and turn per cycle above which it is played by turn
+[rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,15 +48,15 @@ class Loop:
     start_s: float
     end_s: float
     gap_m: float
-    """Root mean square distance of the joints at the seam, velocities included (0.15 s of them) [m]."""
+    """Root mean square distance of the joints at the seam, including velocities with a weight of 0.15 s [m]."""
     spread_m: float = 0.0
     """Mean distance from all poses to their mean [m]."""
 
 
 def find_loop(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Loop:
-    """Find the best loop between ``min_s`` and ``max_s`` long in a motion.
+    """Find the best loop of a motion with a duration from ``min_s`` to ``max_s`` [s].
 
-    At its two ends all joints, seen from the pelvis, have nearly the same positions and velocities.
+    At the two ends of a loop, all joints have nearly the same positions and velocities relative to the pelvis.
 
     Raises:
         InputError: the motion is shorter than ``min_s``.
@@ -98,12 +99,12 @@ def _features(motion: Motion, body: Humanoid) -> Array:
 
 
 def trim_to_cycle(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: float = 2.5) -> Clip:
-    """Return one cycle of a motion as a clip without a seam that ``body`` can play.
+    """Return one cycle of a motion as a seamless clip that ``body`` can play.
 
-    The best loop (`find_loop`) is straightened (its net turn is taken out evenly), what is left between its end and its
-    start is spread over the cycle, and feet are planted round the seam. A cycle that gets anywhere is played by distance:
-    its travel is along x of the root, phase 0 is the strike of the left foot, and ``stride_m`` the way per cycle. One that
-    turns on the spot is played by the turn (``turn_rad``), anything else by time (``period_s``).
+    The best loop (`find_loop`) is straightened by removing its net turn evenly. The remaining difference between its
+    ends is distributed over the cycle, and feet are planted around the seam. A cycle that travels is played by
+    distance: it moves along x of the root, phase 0 is the strike of the left foot, and ``stride_m`` is the distance per
+    cycle. A cycle that turns on the spot is played by the turn (``turn_rad``), and any other by time (``period_s``).
 
     Raises:
         InputError: the motion is too short.

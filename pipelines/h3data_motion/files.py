@@ -1,4 +1,4 @@
-"""Motion files of all supported kinds, and our own: one npz without pickle."""
+"""Readers of motion files of all supported formats, and the format of this package: an npz file without pickle."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ FORMAT = "h3data-motion/1"
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """Facts that a motion file may not contain."""
+    """Facts about a motion that its file may not contain."""
 
     up: Up = "z"
     """Axis of an AMASS file's world that points up."""
     fps: float | None = None
     """Frames per second of AMASS files that do not state them."""
     names: str | Path | None = None
-    """Table of joint names for BVH, built-in or TOML; None takes the built-in one that fits."""
+    """Table of joint names for BVH, built-in or a TOML file; None selects the built-in table that fits."""
     unit_m: float | None = None
     """Metres per unit of BVH files; None guesses it from the legs."""
     source: str = ""
@@ -42,21 +42,22 @@ class ReadOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionReader:
-    """Reader of motion files of one kind; other packages add theirs as entry points of the group ``h3data.motions``."""
+    """Reader of motion files of one kind; other packages add readers as entry points of the group ``h3data.motions``."""
 
     fits: Callable[[bytes, Sequence[str]], bool]
-    """Function that returns whether a file is of this kind, by its first 256 bytes and, of an npz, the names of its arrays."""
+    """Function that returns whether a file has this format, from its first 256 bytes and, for an npz file, its array
+    names."""
     read: Callable[[Path, ReadOptions], Motion]
     """Function that reads the motion in a file."""
     suffixes: tuple[str, ...]
-    """Endings of such files, in lower case: `h3data motion import` collects them from folders."""
+    """File name endings of this format in lower case; `h3data motion import` collects such files from folders."""
 
 
 def motion_kind(path: str | Path) -> str:
-    """Return the format of a motion file, from its content: ``motion`` (ours), ``bvh``, ``amass`` or that of a plug-in.
+    """Return the format of a motion file from its content: ``motion`` (h3data), ``bvh``, ``amass`` or a plug-in's.
 
     Raises:
-        FormatError: it holds no motion that is read; the message says what it looks like.
+        FormatError: the file has no supported motion; the message states what it seems to contain.
         InputError: there is no such file.
     """
     path = Path(path)
@@ -85,10 +86,10 @@ def motion_kind(path: str | Path) -> str:
 
 
 def read_motion(path: str | Path, *, kind: str = "auto", options: ReadOptions | None = None) -> Motion:
-    """Return the motion in a file of any kind that is read: ours, AMASS, BVH, Habitat (sequence or walk), or that of a plug-in.
+    """Return the motion in a file of any supported format: h3data, AMASS, BVH, Habitat, or a plug-in's.
 
     Raises:
-        FormatError: it is of another kind, or damaged; the message names the file and the key or line.
+        FormatError: the file has another format, or is damaged; the message names the file and the key or line.
         InputError: there is no such file.
     """
     path = Path(path)
@@ -104,7 +105,7 @@ def save_motion(motion: Motion, path: str | Path) -> None:
 
 
 def motion_bytes(motion: Motion) -> bytes:
-    """Return the content of the file that `save_motion` writes."""
+    """Return a motion as the bytes of a file, as `save_motion` writes it."""
     stream = io.BytesIO()
     np.savez_compressed(
         stream,
@@ -122,10 +123,10 @@ def motion_bytes(motion: Motion) -> bytes:
 
 
 def load_motion(path: str | Path | io.BytesIO) -> Motion:
-    """Read what `save_motion` wrote.
+    """Read a motion file that `save_motion` has written.
 
     Raises:
-        FormatError: it is something else, of a newer version, or damaged.
+        FormatError: the file has another format or a newer version, or is damaged.
         InputError: there is no such file.
     """
     path = path if isinstance(path, io.BytesIO) else Path(path)
@@ -191,7 +192,7 @@ MOTIONS: Registry[MotionReader] = Registry(
     what="kind of motion file",
     check=_check,
 )
-"""Readers of motion files by kind; the first that fits reads a file."""
+"""Readers of motion files by format; the first reader that fits is used."""
 
 
 @cache

@@ -1,9 +1,10 @@
-"""Gaits from imported motion: a captured cycle is decomposed into the parts of a gait, and scaled to any speed.
+"""Gaits from imported motion: a captured cycle is decomposed into the parts of a gait and scaled to any speed.
 
-Pelvis, trunk, arms and head are as captured. Of the feet, which may slide or stand a little in the floor, only their curves
-are taken, as means of left and right: how they pitch, where they strike, and how they fly between. They roll on the floor
-again about heel and ball, and the legs follow, as in the gaits of `h3data.bodies.people.gait`; so start, stop and turn are
-planted steps at every speed. A step is as long as the root of the speed, as people's are; slower walks move less.
+Pelvis, trunk, arms and head move as captured. Captured feet may slide or sink into the floor, so only their curves are
+used, as means of left and right: pitch, strike position, and swing. The feet roll on the floor about heel and ball, and
+the legs follow, as in the gaits of `h3data.bodies.people.gait`. Start, stop and turn are therefore planted steps at
+every speed. Step length is proportional to the square root of the speed, as for people, and slower walks have smaller
+movements.
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ from h3data_motion.cycle import trim_to_cycle
 
 SPEEDS_MPS = (0.3, 4.0)
 LEAST_STRIDE_M = 0.35
-"""Least distance covered in a cycle of two steps [m]; below it the person stands, or steps on the spot."""
+"""Least distance covered in a cycle of two steps [m]; below it, the person stands or steps on the spot."""
 HALF = (0.3, 0.7)
-"""Range of phases in which the right foot may strike; outside of it the right step is no step."""
+"""Range of phases in which the right foot must strike for a cycle to count as walking."""
 STANCES = {False: (0.58, 0.70), True: (0.25, 0.5)}
-"""Range of the share of the cycle that a foot may be on the floor, walking and running."""
+"""Range of the share of the cycle during which a foot is on the floor, for walking and running."""
 FLAT = (0.25, 0.55)
-"""Part of the stance in which a foot is flat."""
+"""Part of the stance during which a foot is flat."""
 TILT_DEG, LEVEL_DEG = 20.0, 1.5
-"""Largest apparent tilt of a flat foot, which is removed; and tilt below which the rest is noise."""
+"""Largest apparent tilt of a flat foot, which is removed, and tilt below which the rest is noise [deg]."""
 SMOOTH_FRAMES = 1.5
 TWITCH_M = 0.15
-"""Largest movement of a joint against the pelvis in 1/30 s [m], except for the legs, which are computed anew."""
+"""Largest movement of a joint relative to the pelvis in 1/30 s [m], except for the legs, which are recomputed."""
 STILL_RAD = 0.03
-"""Motion of fingers below which they have not been captured [rad]."""
+"""Motion of fingers below which they count as not captured [rad]."""
 
 _LEGS = {f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee", "ankle", "foot")}
 _FINGERS = [JOINT_INDEX[f"{side}_{finger}{k}"] for side in ("left", "right") for finger in FINGERS for k in (1, 2, 3)]
@@ -55,47 +56,53 @@ class Cycle:
     speed_mps: float
     stride_m: float
     stance: float
-    """Share of the cycle that a foot is on the floor."""
+    """Share of the cycle during which a foot is on the floor."""
     strike: float
     """Distance ahead of the pelvis at which a foot strikes, in strides."""
     quats: Array
-    """Local rotations [F, 55, 4]; those of the legs are not used."""
+    """Local joint rotations xyzw, shape [F, 55, 4]; those of the legs are not used."""
     pelvis: Array
-    """Positions of the pelvis [F, 3] [m]."""
+    """Positions of the pelvis in the body frame, shape [F, 3] [m]."""
     pitch: Array
-    """Pitch of a foot over its own phase, toes up, [F] [deg]."""
+    """Pitch of a foot over its own phase, positive with toes up, shape [F] [deg]."""
     flight: Array
-    """Offset of the ankle of a swinging foot forward of and above the line between its places, at even shares of the swing, 0
-    at both ends, [S, 2] [m]."""
+    """Offset of the ankle of a swinging foot, forward of and above the line between its two stance positions, at equal
+    intervals of the swing and 0 at both ends, shape [S, 2] [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionGaits(Gaits):
-    """Gaits of a body that walks like a captured cycle, or runs like it, if it is a run."""
+    """Gaits of a body that walks or runs like a captured cycle."""
 
     cycle: Cycle
 
     def plays(self, speed_mps: ArrayLike) -> bool:
-        """Return whether the cycle is played at these speeds."""
+        """Return whether the captured cycle is used at these speeds [m/s]."""
         return bool(np.all((np.asarray(speed_mps) > JOG_ABOVE_MPS) == (self.cycle.speed_mps > JOG_ABOVE_MPS)))
 
     def stride_m(self, speed_mps: ArrayLike) -> Array:
-        """Return the length of a cycle at given speeds [...] [m], scaled from the captured one where the body moves like it."""
+        """Return the length of a cycle [...] [m] at speeds [...] [m/s], scaled from the captured cycle."""
         speed = np.abs(np.asarray(speed_mps, np.float64))
         jogs = self.cycle.speed_mps > JOG_ABOVE_MPS
         captured = self.cycle.stride_m * np.sqrt((speed if jogs else np.minimum(speed, 2.0)) / self.cycle.speed_mps)
         return np.where((speed > JOG_ABOVE_MPS) == jogs, captured, Gaits.stride_m(self, speed))
 
     def stance(self, speed_mps: float) -> float:
-        """Return the share of a cycle in which a foot is on the floor, as captured where the body moves like that."""
+        """Return the share of a cycle in which a foot is on the floor at a speed [m/s].
+
+        It is that of the captured cycle at speeds at which the cycle is used.
+        """
         return self.cycle.stance if self.plays(speed_mps) else Gaits.stance(self, speed_mps)
 
     def strike(self, speed_mps: float) -> float:
-        """Return the place of a foot at its strike, as captured for this motion of the body."""
+        """Return the distance of a foot ahead of the pelvis at its strike, in strides, at a speed [m/s].
+
+        It is that of the captured cycle at speeds at which the cycle is used.
+        """
         return self.cycle.strike if self.plays(speed_mps) else Gaits.strike(self, speed_mps)
 
     def posture(self, speed_mps: Array, phase: Array) -> Posture:
-        """Return the posture at phases of a cycle, from the motion data where the body moves like that."""
+        """Return the posture at speeds [m/s] and phases, from the captured cycle at speeds at which it is used."""
         if not self.plays(speed_mps):
             return Gaits.posture(self, speed_mps, phase)
         return cycle_posture(self.cycle, self.legs, self.stride_m(speed_mps), np.asarray(phase, np.float64))
@@ -172,7 +179,7 @@ def cycle_of(clip: Clip, body: Humanoid) -> Cycle:
 
 
 def cycle_posture(cycle: Cycle, legs: Legs, stride_m: Array, phase: Array) -> Posture:
-    """Return postures at ``phase`` [T] with strides [T] [m]: shorter ones than the captured make all movements smaller."""
+    """Return postures at phases [T] with strides [T] [m]; shorter strides make all movements smaller."""
     stride = np.broadcast_to(np.asarray(stride_m, np.float64), phase.shape)
     share = np.minimum(stride / cycle.stride_m, 1.0)
     stand = stand_posture(legs, len(phase))

@@ -1,4 +1,4 @@
-"""Arrays in npz files of unknown origin: no pickle runs, and no array is larger than its bytes."""
+"""Reader of arrays in npz files of unknown origin, which runs no pickle and limits the size of arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from h3data.errors import FormatError, InputError
 
 MAX_BYTES = 1 << 30
-"""Largest total size of the requested members after unpacking; real motion files have 1 to 100 MB."""
+"""Largest total size of the requested members after unpacking [bytes]; real motion files have 1 to 100 MB."""
 
 _DAMAGES = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, zlib.error, ValueError)
 
@@ -42,15 +42,15 @@ def npz_arrays(
     *,
     unpickle: Callable[[bytes, Path | io.BytesIO], Any] | None = None,
 ) -> dict[str, Any]:
-    """Read the existing arrays among ``names`` (all by default).
+    """Read those arrays of an npz file that are among ``names`` (default: all).
 
     Args:
         path: the npz file.
-        names: names of arrays.
-        unpickle: reads the bytes of a pickled member of the file named after them; None refuses pickled members.
+        names: names of the requested arrays.
+        unpickle: function that reads the bytes of a pickled member; None refuses pickled members.
 
     Raises:
-        FormatError: the file is no npz file, or damaged; or a member is pickled.
+        FormatError: the file is not an npz file or is damaged, or a member is pickled.
         InputError: there is no such file.
     """
     try:

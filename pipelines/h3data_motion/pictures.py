@@ -1,4 +1,4 @@
-"""Contact sheets of motions, poses of one person side by side, and a camera that follows a moving agent."""
+"""Pictures of motions with the poses of one person side by side, and a camera that follows a moving agent."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _strip(body: Humanoid, quats: NDArray, pelvis: NDArray, lod: bool, width: in
 
 
 EYE_M = (2.2, 0.5, 2.6)
-"""Offset of the eye from the target: ahead of the agent, up, to its right."""
+"""Offset of the camera from its target: ahead of the agent, up, and to its right [m]."""
 TARGET_HEIGHT_M = 0.85
 SMOOTH_S = 1.0
 

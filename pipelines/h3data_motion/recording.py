@@ -21,10 +21,11 @@ TILE_COLORS = ((222, 224, 228), (198, 202, 208))
 def motion_columns(
     motion: Motion, body: Humanoid, *, agent: int = 0, start: ArrayLike = IDENTITY_POSE, step_ns: int = STEP_NS
 ) -> dict[str, NDArray[Any]]:
-    """Return columns of a recording in which ``body`` performs the motion, beginning at the pose ``start`` [7] in the world.
+    """Return columns of a recording in which ``body`` performs the motion from the world pose ``start`` [7] on.
 
-    These are ``time_ns`` and ``agent_<i>.base_pose``, ``.root_pose``, ``.joint_quat`` (`h3data.recording.records`). A motion
-    of another body is fitted to this one first (`retarget`). Steps are ``step_ns`` apart, whatever the motion's rate.
+    The columns are ``time_ns`` and ``agent_<i>.base_pose``, ``.root_pose``, ``.joint_quat``
+    (`h3data.recording.records`). A motion of another body is fitted to this one first (`retarget`). Steps are
+    ``step_ns`` apart, whatever the motion's rate.
     """
     fitted = retarget(motion, body)
     begin = np.asarray(start, np.float64)
@@ -45,7 +46,8 @@ def motion_columns(
 def motion_recording(motion: Motion, body: Humanoid, *, model: str = "") -> Recording:
     """Return a recording of one person performing the motion on a tiled floor, for `Replay`, videos and datasets.
 
-    ``model`` names the body in the recording, ``humanoid/<name>`` of a built-in body or a file (default: the body's name).
+    ``model`` is the model of the body in the recording: ``humanoid/<name>`` for a built-in body, or a file (default:
+    the body's name).
     """
     columns = motion_columns(motion, body)
     model = model or f"humanoid/{body.name}"

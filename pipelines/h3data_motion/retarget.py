@@ -1,4 +1,4 @@
-"""Motion of any person on a built-in body: rotations by joint, distances by the length of the legs, feet on the floor."""
+"""Retargeting of any person's motion to a body: rotations by joint, distances by leg length, and feet on the floor."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from h3data_motion.clip import Motion
 from h3data_motion.contacts import find_contacts, leg_frames, planted
 
 ADULT_LEG_M = 0.80
-"""Lengths of thigh and shank of an adult, for motions that state no lengths and do not show them by walking."""
+"""Length of thigh plus shank of an adult [m], for motions from which the length cannot be found."""
 SCALES = (0.5, 2.0)
-"""Range of scales, estimated from planted feet, that are accepted."""
+"""Range of accepted scale factors that are estimated from planted feet."""
 FLOOR_PERCENTILE = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class FootReport:
-    """Quality of the feet's contact, over all frames in which they touch the floor."""
+    """Quality of the feet's floor contact, over all frames in which they touch the floor."""
 
     touching: float
     """Share of frames with a foot on the floor."""
@@ -30,15 +30,15 @@ class FootReport:
     slide_max_mm: float
     """Largest distance that a touching foot slides along the floor per 1/30 s [mm]."""
     lowest_mm: float
-    """Lowest point of any sole [mm]; negative is in the floor."""
+    """Height of the lowest point of any sole [mm]; negative values are below the floor."""
 
 
 def retarget(motion: Motion, body: Humanoid, *, plant: bool = True) -> Motion:
-    """Return the motion as this body does it, standing on the floor at y = 0.
+    """Return the motion fitted to a body, standing on the floor at y = 0.
 
-    Rotations apply by joint. The pelvis' way is scaled by the length of the legs; where the motion does not say how long
-    they were, by what keeps planted feet in place. The floor is where soles are when they rest. With ``plant``, legs are
-    then solved again so that feet on the floor stand still (`h3data_motion.contacts`).
+    Rotations apply by joint. The path of the pelvis is scaled by leg length. If the motion does not state it, the scale
+    is the one that keeps planted feet in place. The floor is at the height of resting soles. With ``plant``, leg joints
+    are then recomputed so that feet on the floor stand still (`h3data_motion.contacts`).
     """
     if motion.body == body.name:
         return motion

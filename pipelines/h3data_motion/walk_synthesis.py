@@ -1,6 +1,6 @@
-"""Synthesis of people for recordings with little data: a gait for a path of roots, a built-in body for postures.
+"""Synthesis of people for recordings with little data: a gait from a path of roots, or a body that fits postures.
 
-A walk is clips played by distance and by turn.
+A walk consists of clips that are played by distance and by turn.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M, JOINT_INDEX
 from h3data.geometry import Array, heading_from_quat, wrap_angle
 
 SYNTHETIC_BODY = "neutral_0"
-"""Body for people of whom only the root is known."""
+"""Body for people of whom only the root pose is known."""
 SAME_FLOOR_M = 0.15
 """Height difference from the robot's floor below which people are on the same floor [m]."""
 WINDOW_S = 0.5
 """Time over which speeds are averaged [s]."""
 TURN_ABOVE_RAD_S = 0.4
 JUMP_MPS = 8.0
-"""Speed above which a step is a jump to another place: nobody walks as fast [m/s]."""
+"""Speed above which a step counts as a jump to another place, faster than any person walks [m/s]."""
 BLEND_S = 0.25
 """Duration of the transition from standing to the clip and back [s]."""
 
@@ -35,8 +35,9 @@ def walk_columns(body: Humanoid, base_pose: Array, time_ns: NDArray[np.int64]) -
 
     The columns are ``motion_id``, ``motion_phase`` and ``motion_blend`` [T].
 
-    The path is cut into spans of standing, walking and turning on the spot. Each span plays one clip: the one of its
-    typical speed, by distance (backwards if they walk backwards), or the one of the side, by angle.
+    The path is cut into spans of standing, walking and turning on the spot. Each span plays one clip. For walking it is
+    the clip of the typical speed, played by distance (backwards if the person walks backwards). For turning it is the
+    clip of the side, played by angle.
     """
     steps = len(base_pose)
     motion, phase, blend = np.zeros(steps, np.int32), np.zeros(steps), np.zeros(steps)
@@ -102,7 +103,7 @@ def _ramps(time: Array, *, opens: bool, closes: bool) -> Array:
 
 
 def fitting_body(roots: Array, joints: Array, floor: Array) -> str:
-    """Return the built-in body whose lower foot is nearest, in the median, to its height when standing."""
+    """Return the built-in body whose standing foot height fits the lower foot of the recorded joints best (median)."""
     rows = np.flatnonzero(np.isfinite(roots).all(1) & np.isfinite(joints).all((1, 2)) & np.isfinite(floor))
     rows = rows[:: max(1, len(rows) // 32)]
     if not len(rows):
@@ -122,7 +123,7 @@ def fitting_body(roots: Array, joints: Array, floor: Array) -> str:
 def floor_below(height: Array, robot_floor: Array | None, window: int = 31) -> Array:
     """Return the height of the floor [T] under roots at heights [T] [m].
 
-    The up and down of walking is filtered out; on the robot's storey the result is the robot's floor.
+    The vertical motion of walking is filtered out. On the robot's storey the result is the robot's floor.
     """
     if not len(height):
         return height

@@ -1,4 +1,4 @@
-"""Choice of the few seconds of a capture that become a gait; `h3data.bodies.names` uses the group `h3data.walks`."""
+"""Selection of the few seconds of a capture that become a gait, an entry point of the group ``h3data.walks``."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from h3data_motion.retarget import retarget
 LEAST_FPS, KEPT_FPS = 20.0, 60.0
 """Least frame rate, which leaves four frames for a swinging foot, and largest frame rate that is stored."""
 CUT_M, CUT_MPS2 = 0.02, 25.0
-"""Joints jump where their mean change of velocity in a frame is larger than this: a length, and an acceleration besides."""
+"""Limits above which joints count as jumping: mean change of position per frame [m], and an acceleration [m/s^2]."""
 PACE_S, WALKS_SHARE, LEAST_MPS = 0.6, 0.7, 0.3
-"""Time over which speeds are measured [s], share of the fastest speed above which a person walks, and least fastest
-speed [m/s]."""
+"""Time over which speeds are measured [s], share of the fastest speed above which a person walks, and smallest accepted
+fastest speed [m/s]."""
 CYCLE_S, MARGIN_S = (0.6, 2.2), 0.4
-"""Length of a cycle of two steps, and of the parts before and after it that are stored [s]."""
+"""Range of the duration of a cycle of two steps, and duration of the parts before and after it that are stored [s]."""
 GAP_SHARE = 0.75
-"""Share of the poses' deviation from their mean by which the end of a cycle may differ from its start; opposite poses
-have 1.3."""
+"""Largest difference between the end and the start of a cycle, as a share of the poses' deviation from their mean;
+opposite poses have 1.3."""
 
 
 def walking(body: Humanoid, data: bytes, *, name: str) -> Humanoid:
@@ -40,17 +40,17 @@ def walking(body: Humanoid, data: bytes, *, name: str) -> Humanoid:
 
 
 def facts(data: bytes) -> dict[str, str]:
-    """Return the facts about a gait for recordings, from the contents of its file."""
+    """Return the facts about a gait that recordings store, from the contents of its file."""
     motion = load_motion(io.BytesIO(data))
     return {"name": motion.name, "source": motion.source}
 
 
 @lru_cache(maxsize=16)
 def walk_file(path: str) -> bytes:
-    """Return the contents of the file that keeps the walk in a motion file.
+    """Return the contents of a file with the walk that a motion file contains.
 
     Raises:
-        InputError: there is no such file, or nobody walks in it.
+        InputError: there is no such file, or it contains no walk.
         FormatError: the file is not a motion file.
     """
     if not Path(path).is_file():
@@ -59,10 +59,10 @@ def walk_file(path: str) -> bytes:
 
 
 def walk_of(motion: Motion) -> Motion:
-    """Return the part of a motion that becomes a gait: its best cycle, and a little before and after it.
+    """Return the part of a motion that becomes a gait: its best cycle, with short parts before and after it.
 
     Raises:
-        InputError: it has too few frames a second, or nobody walks in it for a cycle without a cut.
+        InputError: the motion has too few frames per second, or no uncut walk of at least one cycle.
     """
     if motion.fps < LEAST_FPS:
         raise InputError(

@@ -1,6 +1,6 @@
 """Rays through scenes with Embree: lidar, lines of sight, cast shadows, and cameras of other projections.
 
-Needs the extra ``rays`` for everything but colours.
+The package needs the extra ``rays`` for all outputs except colours.
 """
 
 from h3data_rays.engine import HybridEngine

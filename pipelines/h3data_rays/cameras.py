@@ -1,7 +1,7 @@
-"""Images by rays: fisheye and equirectangular cameras, and every camera of the back end ``rays``.
+"""Images by ray casting: fisheye and equirectangular cameras, and every camera of the back end ``rays``.
 
-Depth, ids and normals are exact, from one ray per pixel. Colours of a non-planar camera are resampled from the six faces
-of a cube around it, which the rasteriser renders.
+Depth, ids and normals are exact, from one ray per pixel. Colours of a non-planar camera are resampled from the six
+faces of a cube around it, which the rasteriser renders.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _LARGEST_FACE_PX = 4096
 
 
 def cast_picture(caster: RayCaster, camera: Camera, results: Mapping[str, NDArray]) -> None:
-    """Fill every output [H, W, ...] except ``rgb``, for a camera of any projection."""
+    """Fill every output [H, W, ...] except ``rgb`` by ray casting, for a camera of any projection."""
     start, directions = camera.rays()
     turn, eye = camera.pose[:3, :3], camera.pose[:3, 3]
     origins, directions = (start + camera.near * directions) @ turn.T + eye, directions @ turn.T
@@ -41,7 +41,7 @@ def cast_picture(caster: RayCaster, camera: Camera, results: Mapping[str, NDArra
 def picture_from_cube(
     camera: Camera, render_face: Callable[[Camera], NDArray[np.uint8]], rgb: NDArray[np.uint8]
 ) -> None:
-    """Fill ``rgb`` [H, W, 3] of a non-planar camera; ``render_face`` renders a perspective one."""
+    """Fill ``rgb`` [H, W, 3] of a non-planar camera, where ``render_face`` renders a perspective camera."""
     import cv2
 
     size = int(min(2 * np.ceil(max(camera.fx, camera.fy)), _LARGEST_FACE_PX)) + 2 * _MARGIN_PX

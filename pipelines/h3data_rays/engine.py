@@ -1,4 +1,4 @@
-"""CPU rasteriser, with rays for what it does not support: other projections, shadows of the sun, and the back end ``rays``."""
+"""CPU rasteriser that casts rays for other projections, shadows of the sun, and the back end ``rays``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _KEPT_CASTERS = 8
 
 
 class HybridEngine(CpuEngine):
-    """A `CpuEngine` that supports every camera and casts shadows; with ``only_rays``, only colours are rasterised."""
+    """CPU engine that supports every camera and casts shadows; with ``only_rays``, only colours are rasterised."""
 
     def __init__(
         self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1, only_rays: bool = False
@@ -42,7 +42,7 @@ class HybridEngine(CpuEngine):
         samples: int,
         out: Mapping[str, NDArray] | None,
     ) -> dict[str, NDArray]:
-        """Render each camera by the rasteriser, by rays, or by both, as its projection and outputs need."""
+        """Render each camera by the rasteriser, by rays, or by both, depending on its projection and outputs."""
         geometry = any(name != "rgb" for name in outputs)
         for camera, world in zip(cameras, worlds, strict=True):  # casters are built before the threads start
             if self._shadows(outputs) or (geometry and self._casts(camera)):

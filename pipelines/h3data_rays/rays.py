@@ -1,4 +1,4 @@
-"""Rays through a scene with Embree: distances, line of sight, lidar, shadows of the sun. Needs the extra ``rays``.
+"""Ray casting with Embree: distances, lines of sight, lidar, and shadows of the sun (needs the extra ``rays``).
 
 Embree scenes are built in robust mode; otherwise rays slip between triangles at shared edges.
 """
@@ -26,14 +26,14 @@ _OFFSET_M = 2e-3
 
 
 class Hits(NamedTuple):
-    """The first surface that each ray [...] meets."""
+    """First surface that each ray [...] meets."""
 
     distance: NDArray[np.float32]
-    """Distance in lengths of the ray's direction (metres for unit directions), 0 = miss, shape [...]."""
+    """Distance in multiples of the ray's direction (metres for unit directions), shape [...]; 0 for a miss."""
     instance: NDArray[np.int32]
-    """Index into the scene's instances, -1 = miss, shape [...]."""
+    """Index into the scene's instances, shape [...]; -1 for a miss."""
     triangle: NDArray[np.int32]
-    """Triangle of the instance's mesh, -1 = miss, shape [...]."""
+    """Index of the triangle in the instance's mesh, shape [...]; -1 for a miss."""
     barycentric: NDArray[np.float32]
     """Weights of the triangle's second and third vertex, shape [..., 2]."""
 
@@ -116,9 +116,9 @@ class Part:
 
 
 class RayCaster:
-    """Triangles of a scene at one moment, for rays from anywhere.
+    """Ray caster for the triangles of a scene at one moment.
 
-    ``poses`` (from `Renderer.poses`) holds transforms and visibility, by default those the scene was built with;
+    ``poses`` (from `Renderer.poses`) has transforms and visibility (default: those with which the scene was built);
     ``shown`` [I] overrides the visibility. Building takes about a second per million triangles.
     """
 
@@ -136,9 +136,9 @@ class RayCaster:
         self.parts = [Part(scene, self.poses, np.flatnonzero(mask))] if parts is None else list(parts)
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, *, max_m: ArrayLike = np.inf) -> Hits:
-        """Return the first surface that each ray [..., 3] meets (origins and directions are broadcast); NaN rays always miss.
+        """Return the first surface that each ray [..., 3] meets, with broadcast arguments; NaN rays always miss.
 
-        ``max_m`` limits the distance, in lengths of the direction.
+        ``max_m`` limits the distance, in multiples of the direction's length.
         """
         origins, directions, limits, shape = _rays(origins, directions, max_m)
         nearest = limits.copy()
@@ -232,11 +232,11 @@ class LidarScan(NamedTuple):
     """Result of one revolution of a lidar."""
 
     distance: NDArray[np.float32]
-    """Distance [m], 0 = no surface within range, shape [L, C]."""
+    """Distance [m], shape [L, C]; 0 if no surface is within range."""
     instance: NDArray[np.int32]
-    """Index into the scene's instances, -1 = miss, shape [L, C]."""
+    """Index into the scene's instances, shape [L, C]; -1 for a miss."""
     points: NDArray[np.float64]
-    """World points, NaN = miss, shape [L, C, 3] [m]."""
+    """Hit points in the world [m], shape [L, C, 3]; NaN for a miss."""
 
 
 def lidar(
@@ -245,8 +245,8 @@ def lidar(
     """Measure one revolution of a lidar with L lasers.
 
     Args:
-        caster: The scene.
-        pose: 4x4 matrix, sensor (x forward, y up, z right) to world.
+        caster: Ray caster of the scene.
+        pose: 4x4 matrix from the sensor frame (x forward, y up, z right) to the world.
         elevations_deg: Elevation of each laser above the horizon, shape [L].
         columns: Number of directions per laser; column 0 looks forward, the others follow to the left.
         max_m: Range [m].
@@ -267,22 +267,22 @@ def lidar(
 
 
 class LidarScanner:
-    """Lidar scanner in a scene of which most never moves."""
+    """Lidar scanner for a scene in which most instances never move."""
 
     def __init__(self, scene: RenderScene, poses: Poses, still: NDArray[np.bool_]) -> None:
-        """Prepare the instances [I] that are ``still``, once for all scans."""
+        """Prepare the static instances, marked in ``still`` [I], once for all scans."""
         self._scene, self._still = scene, Part(scene, poses, np.flatnonzero(still))
 
     def scan(
         self, poses: Poses, shown: NDArray[np.bool_], pose: ArrayLike, *, max_m: float, **options: Any
     ) -> NDArray[np.float32]:
-        """Return distances [L, C] [m]; the scanner's range where nothing is nearer.
+        """Return distances [L, C] [m]; they equal the scanner's range if nothing is nearer.
 
-        Other instances count if they are ``shown`` [I].
+        Static instances are always included, and others if they are ``shown``.
 
         Args:
             poses: Poses of all instances.
-            shown: Instances besides those that are still [I].
+            shown: Mask of the moving instances that are visible, shape [I].
             pose: Pose of the lidar as for `lidar`.
             max_m: Range [m].
             options: Other options of `lidar`.

@@ -1,4 +1,4 @@
-"""Policies behind servers (openpi's websocket, GR00T's ZeroMQ), and a server for our policies. Needs the extra ``remote``.
+"""Remote policies on servers of openpi (WebSocket) and GR00T (ZeroMQ), and a server for our policies.
 
-h3data docs remote-policies says what an adapter file holds.
+The package needs the extra ``remote``. ``h3data docs remote-policies`` describes adapter files.
 """

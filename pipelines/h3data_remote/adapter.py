@@ -1,4 +1,4 @@
-"""Adapter of a policy server: keys of its observations and meanings of its answers, in a file for each robot and model."""
+"""Adapter of a policy server: the keys of its observations and the meanings of its answers, for a robot and a model."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Seconds = Annotated[float, msgspec.Meta(gt=0, le=3600)]
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Entry of an observation."""
+    """Entry of an observation that is sent to a policy server."""
 
     sensor: str | Annotated[list[str], msgspec.Meta(min_length=1)]
-    """Name of an observation (h3data docs environments); several are joined, one after the other."""
+    """Name of an observation (h3data docs environments); several are concatenated."""
     size: tuple[Pixels, Pixels] | None = None
-    """Width and height of a picture; None: the camera's own."""
+    """Width and height of a picture [px]; None for those of the camera."""
     pad: bool = False
-    """True if a picture keeps its proportions between black bars instead of being stretched."""
+    """True if a picture keeps its aspect ratio between black bars instead of being stretched."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -39,37 +39,37 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Form of a server's requests and answers."""
+    """Format of a policy server's requests and answers."""
 
     name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,40}$")] = "adapter"
     """Name of the policy in recordings, for servers that state none."""
     observation: dict[str, Entry] = {}
-    """Observations by key; in GR00T's protocol keys such as ``video.arm`` name a group and an entry."""
+    """Observations by key. In GR00T's protocol, keys such as ``video.arm`` consist of a group and an entry."""
     light: LightMode = "flat"
-    """Light in colours: ``baked``, from windows, sun and lamps, or ``flat``."""
+    """Light in colour pictures: ``baked`` is light from windows, sun and lamps, ``flat`` is the same everywhere."""
     prompt: str = ""
-    """Key of the instruction in words; empty: it is not sent."""
+    """Key of the instruction in words; if it is empty, no instruction is sent."""
     session: bool = False
-    """True if the episode's seed, the step, whether it is the first, and a name of the episode's run are sent too, as
-    ``h3data/seed``, ``h3data/step``, ``h3data/reset`` and ``h3data/session``."""
+    """True if requests also contain the episode's seed, the step, whether it is the first, and a name of the episode's
+    run, as ``h3data/seed``, ``h3data/step``, ``h3data/reset`` and ``h3data/session``."""
     actions: str | Annotated[list[str], msgspec.Meta(min_length=1)] = "actions"
-    """Key of the chunk of actions in an answer; if several keys are given, their columns are put side by side."""
+    """Key of the action chunk in an answer; the columns of several keys are concatenated."""
     columns: list[Annotated[int, msgspec.Meta(ge=0)]] = []
-    """Columns of a chunk that are the robot's, in order; empty: all."""
+    """Indices of the columns of a chunk that are the robot's, in order; empty for all."""
     action: Literal["base", "control"] = "base"
-    """Kind of action. ``base``: forward and turn, in -1..1 of the limits. ``control``, in tasks with objects: also a
-    number for each joint of the arm and one for the grip, likewise."""
+    """Kind of action. ``base`` has forward velocity and turn, in -1..1 of the limits. ``control``, in tasks with
+    objects, also has a number in -1..1 for each arm joint and one for the grip."""
     hold: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
-    """Number of actions of a chunk that are carried out, one for each step of 1/30 s, before the next request."""
+    """Number of actions of a chunk that are carried out before the next request, one per step of 1/30 s."""
     timeout_s: Seconds = 30.0
     first_timeout_s: Seconds = 300.0
-    """Timeout of the first answer of a server, which may have to compile its model."""
+    """Timeout of the first answer of a server, which may have to compile its model [s]."""
     deadline_s: Annotated[float, msgspec.Meta(ge=0, le=60)] = 0.5
-    """Time in live play for which the last action continues while an answer is late; then the robot stands [s]."""
+    """Time in live play for which the last action continues while an answer is late [s]; then the robot stops."""
 
 
 DEFAULTS: Mapping[str, str] = {"ws": "h3data", "wss": "h3data", "zmq": "gr00t"}
-"""Name of the adapter by the scheme of an address, for servers without an adapter of their own."""
+"""Name of the default adapter by the scheme of an address, for servers that state no adapter."""
 
 
 def built_in_adapters() -> tuple[str, ...]:
@@ -97,10 +97,10 @@ def read_adapter(name: str) -> Adapter:
 
 
 def adapter_of(table: Any, what: str) -> Adapter:
-    """Return the adapter that a table describes.
+    """Return the adapter that a parsed TOML table describes.
 
     Raises:
-        InputError: it is malformed; the message begins with ``what``.
+        InputError: the table is malformed; the message starts with ``what``.
     """
     try:
         return msgspec.convert(table, Adapter)
@@ -116,11 +116,11 @@ class Observer:
 
         Args:
             adapter: Adapter that lists the observations to send.
-            body: The robot.
-            batched: True if arrays begin with axes for worlds and time, as GR00T's do.
+            body: Body of the robot.
+            batched: True if the first axes of arrays are for worlds and time, as in GR00T.
 
         Raises:
-            InputError: a picture is asked for in two sizes, or joined with others.
+            InputError: a picture is requested in two sizes, or concatenated with others.
         """
         self._entries, self._light, self._batched = adapter.observation, adapter.light, batched
         pictures = picture_names(body)
@@ -144,7 +144,7 @@ class Observer:
                 self._padded[key] = entry.size
 
     def observation(self, view: Any) -> dict[str, Any]:
-        """Return the entries by key, for a view of `sim_kinematic.policies.views`.
+        """Return the observation for a view of `sim_kinematic.policies.views`, by key.
 
         Raises:
             InputError: the robot has no such observation.
@@ -175,7 +175,7 @@ def _fitting(body: Body, name: str, size: tuple[int, int]) -> tuple[int, int]:
 
 
 def padded(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
-    """Return the picture [h, w, n] in the middle of a black one of ``size`` (width, height), [H, W, n]."""
+    """Return a picture [h, w, n] in the middle of a black picture of ``size`` (width, height) [px], shape [H, W, n]."""
     height, width = picture.shape[:2]
     out = np.zeros((size[1], size[0], *picture.shape[2:]), picture.dtype)
     top, left = (size[1] - height) // 2, (size[0] - width) // 2
@@ -184,7 +184,7 @@ def padded(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
 
 
 def nested(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Group entries ``group.name`` as dictionaries within a dictionary."""
+    """Return entries named ``group.name`` as dictionaries within a dictionary."""
     found: dict[str, Any] = {}
     for key, value in entries.items():
         group, dot, name = key.partition(".")
@@ -198,13 +198,13 @@ def nested(entries: Mapping[str, Any]) -> dict[str, Any]:
 def chunk_of(
     answer: Mapping[str, Any], adapter: Adapter, width: int, server: str, *, batched: bool
 ) -> NDArray[np.float32]:
-    """Return the actions of an answer to be carried out, [hold, width] in -1..1.
+    """Return the actions of an answer that are carried out, shape [hold, width], in -1..1.
 
     Args:
         answer: Answer of the server.
-        adapter: Adapter that says where the actions are in the answer.
-        width: Numbers of one action.
-        server: Address, for messages.
+        adapter: Adapter that describes the answer.
+        width: Number of values of one action.
+        server: Address of the server, for error messages.
         batched: True if the first axis of an answer is for worlds.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Remote policy in a real-time loop: a thread waits for the server, and the loop never does."""
+"""Remote policy in a real-time loop, in which a thread waits for the server so that the loop never does."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from h3data_remote.adapter import Adapter
 from h3data_remote.wire import PolicyServerError
 
 RETRY_S = 2.0
-"""Interval at which a lost server is contacted again."""
+"""Interval at which a lost server is contacted again [s]."""
 
 
 class SlowPolicy(Protocol):
-    """A policy whose decisions may take long; `h3data_remote.policy.RemotePolicy` explains the methods."""
+    """Protocol of a policy whose decisions may take long; `h3data_remote.policy.RemotePolicy` implements it."""
 
     adapter: Adapter
     width: int
 
     def request(self, view: Any) -> dict[str, Any]:
-        """Return the request that is sent for the present step."""
+        """Return the request to the server for the current step."""
         ...
 
     def fetch(self, request: dict[str, Any]) -> NDArray[np.float32]:
-        """Return the actions [hold, width] that the server answers with."""
+        """Return the actions of the server's answer, shape [hold, width]."""
         ...
 
     def choice(self, row: NDArray[np.float32], view: Any) -> Any:
@@ -37,7 +37,7 @@ class SlowPolicy(Protocol):
         ...
 
     def reconnect(self) -> None:
-        """Begin a new conversation."""
+        """Start a new conversation with the server."""
 
     def close(self) -> None:
         """End the conversation with the server."""
@@ -48,9 +48,9 @@ class SlowPolicy(Protocol):
 
 
 class BackgroundPolicy:
-    """Policy that returns a command for every step at once: the server's if it has arrived, else the previous one.
+    """Policy that returns a command without waiting: the server's if it has arrived, else the previous one.
 
-    While an answer is late, the last action goes on for the adapter's ``deadline_s``; then the robot stands.
+    While an answer is late, the last action continues for the adapter's ``deadline_s``; then the robot stops.
     """
 
     def __init__(self, policy: SlowPolicy) -> None:
@@ -68,7 +68,7 @@ class BackgroundPolicy:
         self._thread.start()
 
     def command(self, view: Any) -> Any:
-        """Return the choice for the next step; never waits."""
+        """Return the choice for the next step without waiting for the server."""
         while not self._answers.empty():
             answer, self._is_asked = self._answers.get(), False
             if isinstance(answer, PolicyServerError):
@@ -90,7 +90,7 @@ class BackgroundPolicy:
         return self._policy.choice(self._last, view)
 
     def after(self, spans: list[Any]) -> None:
-        """Do nothing: commands of servers are not skills that end."""
+        """Do nothing, because commands of servers are not skills that end."""
 
     def recorded_info(self) -> dict[str, Any]:
         """Return the recorded info of the policy, with the number of late answers."""
@@ -98,7 +98,7 @@ class BackgroundPolicy:
         return {"remote": [{**found, "late_steps": self.late, "faults": self.faults}]}
 
     def close(self) -> None:
-        """End the thread as soon as its server answers, and then the conversation."""
+        """End the conversation and the thread as soon as the server has answered."""
         self._requests.put(None)
 
     def _serve(self) -> None:

@@ -1,6 +1,6 @@
-"""Connections to policy servers: a request, and an answer in time or one sentence with the reason.
+"""Connections to policy servers, which return an answer in time or an error with the reason.
 
-Neither kind has threads of its own: waiting costs nothing, and a process may be forked.
+Neither kind of connection has threads, so waiting uses no CPU and the process may be forked.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ except ImportError as error:
 CONNECT_S = 10.0
 """Time within which a server accepts a connection and introduces itself [s]."""
 KEY_VARIABLE = "H3DATA_POLICY_KEY"
-"""Environment variable with the key that servers ask for; it is never recorded."""
+"""Name of the environment variable with the key for policy servers; the key is never recorded."""
 DEFAULT_PORTS = {"ws": 8000, "wss": 443, "zmq": 5555}
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
@@ -46,7 +46,7 @@ class Address:
     port: int
     path: str = ""
     adapter: str = ""
-    """Name or file of the adapter; empty: the server's own, or the default of its protocol."""
+    """Name or file of the adapter; empty selects the server's adapter, or the default of its protocol."""
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -59,7 +59,7 @@ class Address:
 
     @classmethod
     def of(cls, text: str) -> Address:
-        """Return the address in a text.
+        """Parse the address of a policy server.
 
         Raises:
             InputError: the text is not an address, or contains a user or a password.
@@ -91,13 +91,13 @@ class Address:
 
 
 class Connection(Protocol):
-    """A conversation with a server about one episode."""
+    """Connection to a policy server for one episode."""
 
     metadata: dict[str, Any]
     """Metadata that the server states about itself."""
 
     def ask(self, request: dict[str, Any], timeout_s: float) -> dict[str, Any]:
-        """Return the server's answer.
+        """Send a request to the server and return its answer.
 
         Raises:
             PolicyServerError: the server does not answer in time, or answers with an error; the connection is closed.
@@ -105,14 +105,14 @@ class Connection(Protocol):
         ...
 
     def close(self) -> None:
-        """End the conversation. A second call does nothing."""
+        """End the conversation; a second call does nothing."""
 
 
 def connect(address: Address) -> Connection:
     """Open a new connection.
 
     Raises:
-        PolicyServerError: nobody answers, or not as a policy server.
+        PolicyServerError: there is no answer, or it is not that of a policy server.
         InputError: a key would go over a network in plain text.
     """
     key = os.environ.get(KEY_VARIABLE, "")
@@ -125,17 +125,17 @@ def connect(address: Address) -> Connection:
 
 
 class WebSocketConnection:
-    """Openpi's protocol: the server greets with its metadata; then one map goes out and one comes back, in turn."""
+    """Connection with openpi's protocol: the server sends its metadata first, then one answer per request."""
 
     def __init__(self, address: Address, key: str = "") -> None:
-        """Connect, and read what the server says about itself.
+        """Connect to a server and read its metadata.
 
         Args:
             address: Address of the server.
-            key: Value of the header ``Authorization: Api-Key``; empty: none is sent.
+            key: Value of the header ``Authorization: Api-Key``; empty for no key.
 
         Raises:
-            PolicyServerError: nobody answers, or not as a policy server.
+            PolicyServerError: there is no answer, or it is not that of a policy server.
         """
         self._address = address
         deadline = time.monotonic() + CONNECT_S
@@ -200,7 +200,7 @@ class WebSocketConnection:
             raise
 
     def close(self) -> None:
-        """End the conversation. A second call does nothing."""
+        """End the conversation; a second call does nothing."""
         if self._is_open:
             self._is_open = False
             with suppress(OSError, WebSocketException, AttributeError):
@@ -314,17 +314,17 @@ def _read(codec: Codec, packed: bytes, address: Address) -> Any:
 
 
 class ZmqConnection:
-    """GR00T's protocol: requests to named endpoints over ZeroMQ, each with one answer."""
+    """Connection with GR00T's protocol: requests to named endpoints over ZeroMQ, each with one answer."""
 
     def __init__(self, address: Address, key: str = "") -> None:
-        """Connect, and ask for the configuration that describes the server.
+        """Connect to a server and request its configuration.
 
         Args:
             address: Address of the server.
-            key: ``api_token`` of each request; empty: none is sent.
+            key: ``api_token`` of each request; empty for no key.
 
         Raises:
-            PolicyServerError: nobody answers, or not as a policy server.
+            PolicyServerError: there is no answer, or it is not that of a policy server.
         """
         self._address, self._key = address, key
         self._context = zmq.Context()
@@ -369,7 +369,7 @@ class ZmqConnection:
         )
 
     def close(self) -> None:
-        """End the conversation. A second call does nothing."""
+        """End the conversation; a second call does nothing."""
         if not self._socket.closed:
             self._socket.disable_monitor()
             self._breaks.close(linger=0)

@@ -1,4 +1,4 @@
-"""Policy of a robot behind a server: ``--policy ws://host:port`` and ``zmq://host:port``."""
+"""Remote policy of a robot, selected by ``--policy ws://host:port`` or ``--policy zmq://host:port``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.policy import Velocity
 
 OWN = "h3data"
-"""Entries of a server's metadata for h3data: ``name``, ``adapter``, ``batch``, ``view``."""
+"""Key in a server's metadata with facts for h3data: ``name``, ``adapter``, ``batch``, ``view``."""
 MOST_METADATA = 4096
 """Largest size of a server's metadata, as JSON, that is recorded [bytes]; of larger metadata only the digest is
 recorded."""
@@ -35,17 +35,17 @@ _ANSWERED: set[str] = set()
 
 
 def policy_server(address: str, task: Any, kind: str, spec: Any = None) -> PolicyMaker:
-    """Return the maker of a server's policy for an episode: the entry points ``ws``, ``wss`` and ``zmq``.
+    """Return a factory of a server's policy for an episode (the entry points ``ws``, ``wss`` and ``zmq``).
 
     Args:
         address: Address of the server, as read by `Address.of`.
         task: Task that is played.
         kind: Kind of the agent.
-        spec: Its rules, where a job is checked before it begins: then the server must be there.
+        spec: Rules of the task if a job is checked before it starts, which requires that the server is available.
 
     Raises:
         InputError: the address is invalid, there is no such adapter, or the agent is not a robot.
-        PolicyServerError: nobody answers.
+        PolicyServerError: the server does not answer.
     """
     if kind != "robot":
         raise InputError(
@@ -68,10 +68,10 @@ def policy_server(address: str, task: Any, kind: str, spec: Any = None) -> Polic
 
 
 def adapter_for(connection: Connection, where: Address, chosen: Adapter | None) -> Adapter:
-    """Return the adapter that the user has chosen, else that of the server, else the default of its protocol.
+    """Return the adapter chosen by the user, else that of the server, else the default of its protocol.
 
     Raises:
-        InputError: that of the server is malformed.
+        InputError: the adapter of the server is malformed.
     """
     if chosen is not None:
         return chosen
@@ -82,19 +82,19 @@ def adapter_for(connection: Connection, where: Address, chosen: Adapter | None) 
 
 
 def own_facts(metadata: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the facts in the metadata of an h3data server; none for other servers."""
+    """Return the facts for h3data in a server's metadata; empty for servers of other software."""
     own = metadata.get(OWN)
     return own if isinstance(own, dict) else {}
 
 
 class RemotePolicy:
-    """Policy that asks a server for a robot's actions, and carries out its chunks one step at a time.
+    """Policy that requests chunks of a robot's actions from a server and carries them out step by step.
 
-    Each episode has a connection of its own, by which servers know that a new one begins.
+    Each episode has its own connection, by which servers know that a new episode starts.
     """
 
     is_remote = True
-    """Constant True: a replay repeats the recorded actions without asking the policy
+    """True, so that a replay repeats the recorded actions without asking the policy
     (`sim_kinematic.policies.recorded`)."""
 
     def __init__(self, where: Address, chosen: Adapter | None, task: Any, episode: Any, number: int) -> None:
@@ -102,13 +102,13 @@ class RemotePolicy:
 
         Args:
             where: Address of the server.
-            chosen: Adapter; None is the server's own, or the default.
+            chosen: Adapter; None selects the server's adapter, or the default.
             task: Task that is played.
             episode: Episode that is played.
             number: Number of the robot among the agents.
 
         Raises:
-            PolicyServerError: nobody answers, or not as a policy server.
+            PolicyServerError: there is no answer, or it is not that of a policy server.
             InputError: the adapter does not fit the robot or the task.
         """
         self.where, self._chosen, self._batched = where, chosen, where.scheme == "zmq"
@@ -148,24 +148,24 @@ class RemotePolicy:
         self.adapter = adapter_for(self.connection, self.where, self._chosen)
 
     def reconnect(self) -> None:
-        """Begin a new conversation, after one that failed.
+        """Start a new conversation after one that failed.
 
         Raises:
-            PolicyServerError: nobody answers.
+            PolicyServerError: the server does not answer.
         """
         self.close()
         self._connect()
 
     def close(self) -> None:
-        """End the conversation; happens by itself when the policy is no longer used."""
+        """End the conversation; this happens automatically when the policy is no longer used."""
         self._closing()
 
     # --- one decision -------------------------------------------------------------------------------------------------
     def act(self, view: Any) -> Velocity | Action:
-        """Return the next action of the present chunk, or of a new one if it is used up or if steps were left out.
+        """Return the next action of the current chunk, or of a new chunk if it is used up or steps were skipped.
 
         Raises:
-            PolicyServerError: the server is gone or late, or answers with something that is no chunk.
+            PolicyServerError: the server does not answer in time, or its answer is not a chunk.
         """
         # steps were repeated from a recording meanwhile, so that what is left of the chunk was meant for another moment
         if view.step != self._step + 1:
@@ -176,7 +176,7 @@ class RemotePolicy:
         return self.choice(self._rows.popleft(), view)
 
     def request(self, view: Any) -> dict[str, Any]:
-        """Return the request for the present step."""
+        """Return the request for the current step."""
         adapter = self.adapter
         entries = self._observer.observation(view)
         if adapter.prompt:
@@ -196,7 +196,7 @@ class RemotePolicy:
         return nested(entries) if self._batched else entries
 
     def fetch(self, request: dict[str, Any]) -> NDArray[np.float32]:
-        """Return the actions [hold, width] that the server answers with.
+        """Return the actions of the server's answer, shape [hold, width].
 
         Raises:
             PolicyServerError: the server does not answer in time, or the actions are of the wrong kind.
@@ -221,7 +221,7 @@ class RemotePolicy:
             raise
 
     def choice(self, row: NDArray[np.float32], view: Any) -> Velocity | Action:
-        """Return the choice for one action [width] in the task."""
+        """Return the choice in the task for one action [width]."""
         if self._with_objects:
             rest = [] if len(row) > 2 else [0.0] * self._arm
             return Action(CONTROL, command=(*map(float, row), *rest))
@@ -230,17 +230,17 @@ class RemotePolicy:
     # --- several worlds -----------------------------------------------------------------------------------------------
     @property
     def takes_batches(self) -> bool:
-        """Return whether the server answers for several worlds at once."""
+        """Return whether the server can answer for several worlds at once."""
         return self._batched or own_facts(self.connection.metadata).get("batch") is True
 
     @staticmethod
     def act_together(policies: Sequence[RemotePolicy], views: Sequence[Any]) -> list[Velocity | Action]:
-        """Return what `act` returns for some policies of one server, with one request for all whose chunks are used up.
+        """Return the actions of several policies of one server, with one request for all used-up chunks.
 
-        Servers that take no batches are asked one after the other.
+        Servers without batches are asked for each policy in turn.
 
         Raises:
-            PolicyServerError: as for `act`.
+            PolicyServerError: as in `act`.
         """
         first = policies[0]
         asking = [

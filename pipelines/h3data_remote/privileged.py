@@ -1,7 +1,7 @@
-"""Views of privileged policies in messages, for servers of our planners, which know the map and all positions.
+"""Messages with the views of privileged policies, such as planners that know the map and all positions.
 
-The episode goes out once, as a recording of a step in which nobody moves; then the plain fields of each view do. What a
-view can ask the simulator for, such as pictures, stays behind.
+The episode is sent once, as a recording of one step without motion, followed by the plain fields of each view. Data
+that a view requests from the simulator, such as pictures, are not sent.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ VIEWS = {view.__name__: view for view in (SocialNavView, AgentView)}
 
 
 def packed_episode(task: Task, episode: Episode) -> bytes:
-    """Return an episode as a recording file: scene, rules, agents and starts."""
+    """Return an episode as the bytes of a recording with its scene, rules, agents and starts."""
     policies = [AssignedPolicy(Still(), "still", member.kind) for member in episode.roster]
     play = WorldRollout.of(task, episode, policies, measure=False)
     recorder = Recorder.of(play)
@@ -45,11 +45,11 @@ def packed_episode(task: Task, episode: Episode) -> bytes:
 
 
 def unpacked_episode(task: Task, packed: Any) -> Episode:
-    """Return the episode that `packed_episode` packed.
+    """Return the episode from the bytes that `packed_episode` returns.
 
     Raises:
-        PolicyServerError: it is of another task.
-        H3DataError: it is malformed.
+        PolicyServerError: the episode belongs to another task.
+        H3DataError: the bytes are malformed.
     """
     if not isinstance(packed, bytes):
         raise PolicyServerError(
@@ -85,7 +85,7 @@ def _is_plain(value: Any) -> bool:
 
 
 def view_from_wire(fields: Any, episode: Episode, number: int) -> Any:
-    """Return the view with these plain fields; the map and the rules are those of the episode.
+    """Return a view from its plain fields, with the map and the rules of the episode.
 
     Raises:
         PolicyServerError: the server does not know a view with these fields.

@@ -1,4 +1,4 @@
-"""Server for our policies, in openpi's protocol: for tests, demonstrations and other simulators."""
+"""Server for policies of this package with openpi's protocol, for tests, demonstrations and other simulators."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ except ImportError as error:
     raise MissingExtraError(MISSING, code="H3-REMOTE-042") from error
 
 MOST_SESSIONS = 256
-"""Largest number of episodes that clients play at once. Beyond it, the one idle for longest is dropped."""
+"""Largest number of episodes that clients play at the same time; above it, the longest idle one is dropped."""
 log = logging.getLogger("h3data.remote")
 
 
 class ObservedView:
-    """View of a request for a policy that decides by named observations."""
+    """View of a request, for a policy that decides by named observations."""
 
     met = False
 
@@ -51,10 +51,10 @@ class ObservedView:
         self._entries, self.step, self.seed = entries, step, int(entries.get("h3data/seed", 0))
 
     def observe(self, names: tuple[str, ...], size: Any = None, light: str = "flat") -> dict[str, NDArray[Any]]:
-        """Return the observations of these names.
+        """Return the observations with these names.
 
         Raises:
-            PolicyServerError: the request lacks one.
+            PolicyServerError: the request lacks an observation.
         """
         del size, light
         lacks = [name for name in names if name not in self._entries]
@@ -95,15 +95,16 @@ class _ServedVisualNavigation(VisualNavigation):
 
 
 class ServedPolicy:
-    """A policy on a server: its metadata, and fresh players of it."""
+    """Policy on a server, with its metadata and a new player for each episode."""
 
     def __init__(self, name: str, task: str | None = None, adapter: Adapter | None = None) -> None:
-        """Find the policy.
+        """Find the policy with a name.
 
         Args:
             name: Name as for ``--policy``: a planner, a trained policy, ``weights:FILE``, or ``module:name``.
-            task: Task that is played; None: social navigation.
-            adapter: Adapter of clients; None: a network's training inputs, else the whole view, which only h3data sends.
+            task: Task that is played; None for social navigation.
+            adapter: Adapter of clients; None selects a network's training inputs, or else the whole view, which only
+                h3data can send.
 
         Raises:
             InputError: there is no such policy, or it does not move a base.
@@ -129,7 +130,7 @@ class ServedPolicy:
         self.adapter = adapter
 
     def metadata(self) -> dict[str, Any]:
-        """Return the greeting of each connection."""
+        """Return the metadata that each connection receives first."""
         short = self.name.rpartition("/")[2].rpartition(":")[2]
         own = {"name": short, "adapter": msgspec.to_builtins(self.adapter), "batch": True, "view": self.view}
         return {"policy": short, "task": self.task.name, OWN: own}
@@ -139,10 +140,10 @@ class ServedPolicy:
         return _Player(self)
 
     def fresh(self, episode: Episode | None, number: int) -> Any:
-        """Return the policy for an episode; without one, by named observations.
+        """Return a policy for an episode, or one that uses named observations if there is no episode.
 
         Raises:
-            InputError: it needs an episode.
+            InputError: the policy needs an episode.
         """
         spec = self.task.Spec()
         if isinstance(self._network, VisualPolicy):
@@ -164,7 +165,7 @@ class ServedPolicy:
 
 
 def adapter_of_network(network: Network | VisualPolicy) -> Adapter:
-    """Return the adapter by which clients send data to a network: the observations and sizes that it has learned from."""
+    """Return the adapter for clients of a network: the observations and sizes with which it was trained."""
     if isinstance(network, VisualPolicy):
         card = network.card
         drawn = [name for name in card.observations if name not in TABLE or name in DETECTORS]
@@ -207,9 +208,9 @@ class _Player:
 
 # --- the server -------------------------------------------------------------------------------------------------------
 def policy_service(served: ServedPolicy, host: str = "127.0.0.1", port: int = 8000) -> Server:
-    """Return a server that listens; ``serve_forever()`` runs it, ``shutdown()`` ends it.
+    """Return a listening server, with ``serve_forever()`` to run it and ``shutdown()`` to end it.
 
-    Each connection is a conversation of its own. Browsers are refused: pages of others could ask as well.
+    Each connection is a separate conversation. Browsers are refused, because pages of other sites could send requests.
 
     Raises:
         InputError: the port is in use, or the address is not one of this machine.
@@ -244,18 +245,18 @@ def _health(connection: ServerConnection, request: Any) -> Any:
 
 
 class Sessions:
-    """Episodes that are being played, by the names that clients give them, independent of connections."""
+    """Episodes that clients play, by the names that clients give them, independent of connections."""
 
     def __init__(self, served: ServedPolicy) -> None:
         self._served, self._lock = served, threading.Lock()
         self._players: OrderedDict[str, _Player] = OrderedDict()
 
     def player(self) -> _Player:
-        """Return the player that answers the requests of one more episode."""
+        """Return the player that answers the requests of a new episode."""
         return self._served.player()
 
     def answer(self, request: Any, nameless: _Player) -> dict[str, Any]:
-        """Return the answer to a request; ``nameless`` plays the episode of a connection whose client gives no names."""
+        """Return the answer to a request; ``nameless`` plays the episode of a client that gives no names."""
         if not isinstance(request, dict):
             raise PolicyServerError(
                 f"Expected a map of observations, got {type(request).__name__}.", code="H3-REMOTE-051"

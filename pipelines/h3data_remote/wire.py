@@ -1,6 +1,6 @@
-"""Messages of policy servers as bytes, and back: MessagePack with arrays in it, as in openpi and GR00T.
+"""Encoding of the messages of policy servers: MessagePack with arrays, as in openpi and GR00T.
 
-Nothing that comes from the wire is executed: arrays are numbers of a known dtype, whose shape fits their bytes.
+Received data are never executed: arrays have a known numeric dtype and a shape that fits their bytes.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ _KINDS = "biuf"
 
 
 class PolicyServerError(H3DataError):
-    """Error of a policy server: it does not answer in time, or its answer is not an action."""
+    """Error of a policy server that does not answer in time, or whose answer is not an action."""
 
 
 class Codec:
-    """Codec of messages."""
+    """Codec of messages between policies and servers."""
 
     def __init__(self, pack_array: Callable[[Any], Any], unpack_array: Callable[[dict[Any, Any]], Any]) -> None:
         """Create a codec.
 
         Args:
-            pack_array: Returns the form of an array or NumPy scalar in a message; raises a `TypeError` for anything else.
-            unpack_array: Returns the value that a map in a message stands for, or the map itself.
+            pack_array: Function that encodes an array or NumPy scalar, and raises a `TypeError` for other values.
+            unpack_array: Function that decodes a map in a message, or returns the map itself.
         """
         self._encoder = msgspec.msgpack.Encoder(enc_hook=pack_array)
         self._unpack_array = unpack_array
@@ -44,7 +44,7 @@ class Codec:
         """Return the bytes of a message of maps, lists, text, numbers and arrays.
 
         Raises:
-            PolicyServerError: it is larger than `MOST_BYTES`.
+            PolicyServerError: the message is larger than `MOST_BYTES`.
         """
         packed = self._encoder.encode(message)
         if len(packed) > MOST_BYTES:
@@ -55,10 +55,10 @@ class Codec:
         return packed
 
     def unpack(self, packed: bytes) -> Any:
-        """Return the message in these bytes, with arrays that can be written to.
+        """Return the message that some bytes encode, with writable arrays.
 
         Raises:
-            PolicyServerError: they are no message, or an array in it is malformed.
+            PolicyServerError: the bytes are not a message, or an array is malformed.
         """
         if len(packed) > MOST_BYTES:
             raise PolicyServerError(
@@ -123,7 +123,7 @@ def _unpack_openpi(value: dict[Any, Any]) -> Any:
 
 
 OPENPI = Codec(_pack_openpi, _unpack_openpi)
-"""Encoding of arrays for openpi: a map of raw bytes, dtype and shape, whose keys are bytes."""
+"""Codec for openpi, where an array is a map of raw bytes, dtype and shape, whose keys are bytes."""
 
 
 # --- GR00T ------------------------------------------------------------------------------------------------------------
@@ -161,4 +161,4 @@ def _array_of_npy(data: bytes) -> NDArray[Any]:
 
 
 GROOT = Codec(_pack_groot, _unpack_groot)
-"""Encoding of arrays for GR00T: a map with a .npy file."""
+"""Codec for GR00T, where an array is a map with a .npy file."""

@@ -1,4 +1,4 @@
-"""ROS 2 without ROS: export and import of bags, tracks of people in the files of data sets, and maps of map_server as scenes.
+"""Export and import of ROS 2 bags, tracks of people, and map_server maps, without an installation of ROS.
 
 These formats are recognised by `h3data.formats.builtin_formats`.
 """

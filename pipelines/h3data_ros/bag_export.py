@@ -1,4 +1,4 @@
-"""Recordings as bags of ROS 2, for RViz, Foxglove, PlotJuggler and ``ros2 bag play`` (needs ``h3data[ros]``)."""
+"""Export of recordings as ROS 2 bags, for RViz, Foxglove, PlotJuggler and ``ros2 bag play`` (needs ``h3data[ros]``)."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ if TYPE_CHECKING:
 
 MAP, PERSON, THING = "map", "person_", "object_"
 TRACKED_JOINTS = JOINT_INDEX["jaw"]
-"""Joints of people whose frames are written: the body without face and fingers."""
+"""Number of people's joints whose frames are written: the body without face and fingers."""
 FILES = "h3data"
 """Name of the folder in the bag for files of the recording, such as its scene."""
 START_NS = 1_000_000_000
-"""Time stamp of time 0 in recordings without a start time [ns]: stamp 0 means "latest" or "never" in ROS."""
+"""Time stamp of time 0 in recordings without a start time [ns]; stamp 0 means "latest" or "never" in ROS."""
 METADATA_VERSION = 8
-"""Version of metadata.yaml: tools of Humble and Iron do not read version 9."""
+"""Version of metadata.yaml; tools of Humble and Iron cannot read version 9."""
 PERSON_RADIUS_M = 0.25
 """Radius of people in scans that are cast [m]."""
 LIDAR_HEIGHT_M = 0.3
-"""Height of the frame of scans over the floor [m]."""
+"""Height of the frame of scans above the floor [m]."""
 CLOUD_FRAME = "base_lidar_3d"
 """Frame of the scanner whose scans are point clouds."""
 RAYS_MAX = 4096
 JPEG_QUALITY = 90
 Pictures = Iterable[tuple[int, Sequence[NDArray[np.uint8]]]]
-"""Steps in their order, with the sRGB picture [H, W, 3] of every camera."""
+"""Steps in order, each with the sRGB picture [H, W, 3] of every camera."""
 
 
 class _RobotScan(NamedTuple):
@@ -77,12 +77,12 @@ class _Described(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BagCamera:
-    """A camera with its poses, for images and camera_info."""
+    """Camera with its poses, whose images and camera_info are written to a bag."""
 
     camera: Camera
-    """Intrinsics and name."""
+    """Intrinsics and name of the camera."""
     poses: NDArray[np.floating]
-    """Matrices 4x4 from the camera (OpenCV) to the world, [T, 4, 4], or [1, 4, 4] of a static camera."""
+    """Matrices from the camera (OpenCV axes) to the world, [T, 4, 4], or [1, 4, 4] for a static camera."""
 
 
 @dataclass(frozen=True)
@@ -105,20 +105,20 @@ def write_rosbag2(
     pictures: Pictures = (),
     lidar_rays: int = 0,
 ) -> BagFile:
-    """Write a recording into the folder ``path`` as a bag of ROS 2 that Humble to Jazzy read, with message definitions.
+    """Write a recording as a ROS 2 bag with message definitions, for Humble to Jazzy.
 
-    Frames follow REP 103 and 105: ``map`` > ``odom`` > ``base_footprint`` > ``base_link``; in ``map`` also ``person_<name>``,
-    the joints of people, such as ``left_wrist_<name>``, things that move, ``object_<name>``, and ``<camera>_optical_frame``.
-    Several robots have their names before topics and frames. Stamps are the times of the recording. All numbers of poses come
-    back exactly by `h3data_ros.bag_import.read_rosbag2`.
+    Frames follow REP 103 and 105: ``map`` > ``odom`` > ``base_footprint`` > ``base_link``; ``map`` also has
+    ``person_<name>``, the joints of people such as ``left_wrist_<name>``, moving objects ``object_<name>``, and
+    ``<camera>_optical_frame``. If there are several robots, topics and frames start with their names. Stamps are the
+    times of the recording. All poses can be read back exactly with `h3data_ros.bag_import.read_rosbag2`.
 
     Args:
-        recording: The recording.
-        path: Folder of the bag, which is made or filled.
+        recording: Recording to write.
+        path: Folder of the bag, which is created if necessary.
         storage: File format. Humble needs a package for ``mcap``, and has ``sqlite3``.
         cameras: Cameras whose images are written as JPEG.
         pictures: Pictures of these cameras.
-        lidar_rays: Rays of a planar lidar on each robot that has recorded no scan, cast into the map; 0 for none.
+        lidar_rays: Rays of a simulated planar lidar on each robot without a recorded scan; 0 for none.
 
     Raises:
         InputError: there is no step, or two cameras have one name.
@@ -160,7 +160,7 @@ def write_rosbag2(
 
 
 def export_rosbag2(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
-    """Export one recording for ``h3data export --to rosbag2``, with images of each requested camera."""
+    """Export one recording for ``h3data export --to rosbag2``, with the images of each requested camera."""
     require_rosbags()
     (recording,) = recordings
     missing: list[str] = []

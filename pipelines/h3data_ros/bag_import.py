@@ -1,4 +1,4 @@
-"""Bags of ROS 2 as recordings: bags of real robots with tracked people, and our own (needs ``h3data[ros]``)."""
+"""Import of ROS 2 bags: those of real robots with tracked people, and exported ones (needs ``h3data[ros]``)."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ TRACKED, IDS, PEOPLE, MARKERS = (
     "visualization_msgs/msg/MarkerArray",
 )
 OF_PEOPLE = (IDS, TRACKED, PEOPLE, MARKERS)
-"""Types of topics of people, the preferred first. Markers are used only if the user names them: any topic may have
-them."""
+"""Types of topics with people, the preferred first. Markers are used only if the user names them, because any topic may
+have markers."""
 BASES = ("base_footprint", "base_link")
 ROOTS = ("map", "odom")
 _SOLID = (1, 2, 3, 10)
@@ -51,14 +51,15 @@ UNTURNED = (math.nan, math.nan, math.nan, math.nan)
 
 
 def read_rosbag2(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Recording:
-    """Read a bag of ROS 2: its metadata.yaml, its folder, or one .mcap or .db3 file of it.
+    """Read a ROS 2 bag from its folder, its metadata.yaml, or one of its .mcap or .db3 files.
 
-    A bag that `h3data_ros.bag_export.write_rosbag2` made becomes the same recording again, unless ``tracks`` asks for
-    anything else. Of others, the robot's poses come from tf, Odometry or PoseStamped, people from ``tracks.people`` or the
-    first topic of `OF_PEOPLE`, and walls from ``tracks.map`` or the last OccupancyGrid. See `record_tracks` for its rows.
+    A bag that `h3data_ros.bag_export.write_rosbag2` made becomes the same recording again, unless ``tracks`` has other
+    options. In other bags, the robot's poses come from tf, Odometry or PoseStamped, people from ``tracks.people`` or
+    the first topic of `OF_PEOPLE`, and walls from ``tracks.map`` or the last OccupancyGrid. `record_tracks` describes
+    the rows.
 
     Raises:
-        InputError: an option is wrong, or names a topic or frame that is not there.
+        InputError: an option is wrong, or names a missing topic or frame.
         FormatError: the bag is damaged, or lacks what a recording needs.
         MissingExtraError: the extra ``ros`` is not installed.
     """

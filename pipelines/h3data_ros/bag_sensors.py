@@ -18,24 +18,24 @@ from h3data_ros.transforms import TransformTree
 LASER, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
 JOINTS = "sensor_msgs/msg/JointState"
 RAYS = 360
-"""Number of rays of an imported scan, one each degree around the robot's frame."""
+"""Number of rays of an imported scan, one per degree around the robot's frame."""
 BAND_M = (0.1, 1.8)
-"""Heights of the points of a cloud that count as obstacles, in the robot's frame [m]."""
+"""Range of heights of a cloud's points that count as obstacles, in the robot's frame [m]."""
 RANGE_MAX_M = 1000.0
-"""Greatest range of a scanner that is believed [m]."""
+"""Greatest accepted range of a scanner [m]."""
 _FLOATS = {7: "f4", 8: "f8"}
 """Types of coordinates in clouds, by `PointField.datatype`."""
 
 
 @dataclass
 class JointLog:
-    """Positions of joints by name, as messages of `JOINTS` state them."""
+    """Log of joint positions by name, as messages of the type `JOINTS` state them."""
 
     times: dict[str, list[int]] = field(default_factory=dict)
     positions: dict[str, list[float]] = field(default_factory=dict)
 
     def add(self, message: Any, t: int) -> None:
-        """Add the positions of one message; names without a finite position are left out."""
+        """Add the positions of one message, except names without a finite position."""
         stamp = message_time(message.header, t)
         for name, position in zip(message.name, np.asarray(message.position).tolist(), strict=False):
             if np.isfinite(position):
@@ -43,7 +43,7 @@ class JointLog:
                 self.positions.setdefault(name, []).append(position)
 
     def at(self, name: str, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the positions [T] of a joint at times [T], interpolated; before and after its stamps, the nearest position."""
+        """Return the positions [T] of a joint at times [T] [ns], interpolated between and held outside its stamps."""
         times, first = np.unique(np.array(self.times[name], np.int64), return_index=True)
         positions = np.array(self.positions[name])[first]
         return np.interp(rows - rows[0], times - rows[0], positions).astype(np.float32)
@@ -79,17 +79,18 @@ def with_scans(
     rows: NDArray[np.int64],
     gap_ns: int,
 ) -> tuple[Recording, int]:
-    """Return the recording with the scans of its robot as the sensor ``lidar``, and the number of messages that became rows.
+    """Return the recording with its robot's scans as sensor ``lidar``, and the number of used messages.
 
-    Each row has the message with the nearest stamp, no farther away than ``gap_ns``. Its points, in the robot's ``frame``,
-    become `RAYS` distances from that frame: the nearest point in each degree. Of clouds, points within `BAND_M` are taken.
-    NaN is what nobody measured; a ray that a `LASER` sent out and nothing reflected has the scanner's range.
+    Each row has the message with the nearest stamp, no farther away than ``gap_ns``. Its points, in the robot's
+    ``frame``, become `RAYS` distances from that frame, to the nearest point in each degree. Points of clouds are used
+    if they are within `BAND_M`. Directions without a measurement are NaN. A ray of a `LASER` without a reflection has
+    the scanner's range.
 
     Args:
-        recording: The recording, whose first agent is the robot.
-        messages: Topic, time of recording [ns] and message of scans.
-        tree: The frames of the bag.
-        frame: The frame of the robot.
+        recording: Recording whose first agent is the robot.
+        messages: Scans, each as topic, time of recording [ns] and message.
+        tree: Frames of the bag.
+        frame: Frame of the robot.
         rows: Times of the rows [T] [ns].
         gap_ns: Longest time between a row and its scan [ns].
     """

@@ -1,4 +1,4 @@
-"""Types of ROS 2 messages and profiles of their delivery, without ROS (needs ``h3data[ros]``)."""
+"""Types of ROS 2 messages and their quality-of-service profiles, without ROS (needs ``h3data[ros]``)."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def message_types() -> Typestore:
 
 
 def delivery(*, latched: bool = False, best_effort: bool = False) -> Qos:
-    """Return a profile of delivery: ``latched`` messages are kept for late subscribers (transient local)."""
+    """Return a quality-of-service profile; ``latched`` messages are stored for late subscribers (transient local)."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     forever = QosTime(9223372036, 854775807)

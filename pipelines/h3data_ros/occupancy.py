@@ -1,4 +1,4 @@
-"""Occupancy grids: the map of a scene, and the scene of a map."""
+"""Conversion between occupancy grids and the floors of scenes."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from h3data.scene.freespace._voxels import mask_rectangles
 CELL_M = 0.05
 """Side of the cells of exported maps [m]."""
 UNSEEN_M = 0.25
-"""Cells farther than this behind the outline of the floor are unknown, as in the map of a robot that has never seen them."""
+"""Distance outside the outline of the floor above which cells are unknown [m], as in a map made by a robot."""
 CELLS_MAX = 40_000_000
 FINEST_M, COARSEST_M, LONGEST_M, FARTHEST_M = 0.001, 1.0, 1e3, 1e5
-"""Least and greatest cell, greatest side, and greatest coordinate of the origin of a map [m]."""
-"""Cells of a map that is read."""
+"""Least and greatest cell size, greatest side, and greatest coordinate of the origin of a map [m]."""
+"""Largest number of cells of a map that is read."""
 RECTANGLES_MAX = 100_000
 WALL_M = 2.5
 """Height of walls [m]."""
@@ -34,18 +34,21 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OccupancyMap:
-    """A grid in the frame ``map``, whose x axis is the world's and whose y axis is the world's -z."""
+    """Occupancy grid in the frame ``map``, whose x axis is the world's x and whose y axis is the world's -z."""
 
     cells: NDArray[np.int8]
-    """`FREE`, `OCCUPIED` or `UNKNOWN` [rows, columns]; rows go along y from the origin, columns along x."""
+    """Cells as `FREE`, `OCCUPIED` or `UNKNOWN`, shape [rows, columns]; rows increase along y and columns along x."""
     resolution: float
     """Side of a cell [m]."""
     origin: tuple[float, float]
-    """Corner of the first cell in the frame ``map`` [m]."""
+    """Corner (x, y) of the first cell in the frame ``map`` [m]."""
 
 
 def map_of(free: FreeSpace, *, resolution: float = CELL_M) -> OccupancyMap:
-    """Return the map of a floor: a cell is free if its middle is, before the floor is narrowed by the radius of agents."""
+    """Return the occupancy map of a floor, in which a cell is free if its middle is.
+
+    The floor is not narrowed by the radius of agents.
+    """
     low = free.origin
     high = low + np.array(free.sdf.shape) * free.cell_m
     x0, y0 = np.floor(low[0] / resolution) * resolution, np.floor(-high[1] / resolution) * resolution
@@ -59,14 +62,14 @@ def map_of(free: FreeSpace, *, resolution: float = CELL_M) -> OccupancyMap:
 
 # --- maps in ----------------------------------------------------------------------------------------------------------
 def read_map(path: str | Path) -> OccupancyMap:
-    """Read a map of map_server: a yaml file with the name of a picture beside it.
+    """Read a map of map_server: a YAML file and the picture that it names.
 
-    A pixel's occupancy is 1 - value / 255, or value / 255 with ``negate``; above ``occupied_thresh`` a cell is occupied,
-    below ``free_thresh`` free, otherwise or where the picture is transparent unknown. With mode ``raw``, values up to 100
-    are occupancies in percent.
+    The occupancy of a pixel is 1 - value / 255, or value / 255 with ``negate``. A cell is occupied above
+    ``occupied_thresh`` and free below ``free_thresh``. Other cells, and transparent ones, are unknown. With mode
+    ``raw``, values up to 100 are occupancies in percent.
 
     Raises:
-        InputError: a file is missing, or the map is turned.
+        InputError: a file is missing, or the map is rotated.
         FormatError: a file is damaged, or the map is too large.
     """
     path = Path(path)
@@ -105,10 +108,10 @@ def read_map(path: str | Path) -> OccupancyMap:
 def scene_of_map(grid: OccupancyMap, name: str) -> Scene:
     """Return a scene with the floor of the free cells and walls on the occupied ones, 2.5 m high.
 
-    The outline of its floor is that of the free cells. Unknown cells beside them cannot be walked on, but show no wall.
+    The outline of its floor is that of the free cells. Unknown cells next to them are not walkable, but have no wall.
 
     Raises:
-        FormatError: nothing is free, or the map is too large or too ragged.
+        FormatError: no cell is free, or the map is too large or too ragged.
     """
     cells = np.asarray(grid.cells)
     is_near = np.abs(grid.origin).max() <= FARTHEST_M and max(cells.shape) * grid.resolution <= LONGEST_M

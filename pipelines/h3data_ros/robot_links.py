@@ -14,30 +14,30 @@ from h3data_ros.frames import FROM_WORLD
 FOOTPRINT, BASE = "base_footprint", "base_link"
 BLOCK = 256
 Edge = tuple[str, str, NDArray[np.float64]]
-"""Parent frame, child frame and pose [7] of the child in the parent."""
+"""Edge of the frame tree: parent frame, child frame and pose7 of the child in the parent."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotLinks:
-    """Frames below ``base_footprint``, each in its parent: `still` ones, and `moving` ones whose joints are not fixed."""
+    """Frames below ``base_footprint``: static ones (`still`), and those of movable joints (`moving`)."""
 
     still: list[Edge]
     moving: list[tuple[str, str]]
     """Names of parent and child of each moving frame."""
     poses: NDArray[np.float64]
-    """Poses of the moving frames in their parents [T, M, 7]; NaN where a joint is unknown."""
+    """Poses of the moving frames in their parents, shape [T, M, 7]; NaN if a joint position is unknown."""
 
 
 def robot_links(robot: Robot, joint_pos: ArrayLike, prefix: str) -> RobotLinks:
-    """Return the frames of all links of a robot, named as in its URDF after ``prefix``.
+    """Return the frames of all links of a robot, named ``prefix`` plus their name in the URDF.
 
-    The root of the URDF hangs in ``base_footprint``, which is the agent's root. Between them is ``base_link``, unless a
-    link has that name. A root that is itself called ``base_footprint`` is the agent's root.
+    The parent of the URDF's root is ``base_link``, unless a link has that name, and its parent is ``base_footprint``,
+    the agent's root. A URDF root called ``base_footprint`` is the agent's root itself.
 
     Args:
-        robot: The robot.
+        robot: Model of the robot.
         joint_pos: Joint positions [T, J] [rad or m].
-        prefix: Text before the names of frames.
+        prefix: Prefix of the names of frames.
     """
     names = [prefix + name for name in robot.link_names]
     footprint, base = prefix + FOOTPRINT, prefix + BASE

@@ -1,4 +1,4 @@
-"""Scans of a planar lidar, cast into the distance grid of a floor and onto the discs of people."""
+"""Simulated scans of a planar lidar, from the distance grid of a floor and the discs of people."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from h3data.geometry import distance_to_circles
 from h3data.scene import FreeSpace
 
 RANGE_M = (0.05, 12.0)
-"""Nearest and farthest range [m]; farther ones are infinite, as in REP 117."""
+"""Nearest and farthest range [m]; measurements beyond are infinite, as in REP 117."""
 _BLOCK = 64
 
 
@@ -24,15 +24,15 @@ def cast_scans(
 ) -> NDArray[np.float32]:
     """Return the ranges [T, rays] [m] that a lidar at the floor points ``at`` [T, 2] measures.
 
-    Rays go round to the left, the first one backwards; NaN where the lidar has no place. The outline of the floor is that
-    of things between knee and head height (`FreeSpace.free_along`).
+    The first ray points backwards, and the others follow to the left. Ranges are NaN if the lidar's position is NaN.
+    The outline of the floor is that of objects between knee and head height (`FreeSpace.free_along`).
 
     Args:
-        free: The floor.
-        at: Places (x, z) in the world [T, 2] [m].
+        free: Free space of the floor.
+        at: Positions (x, z) of the lidar in the world [T, 2] [m].
         headings: Headings of the lidar [T] [rad].
-        people: Places of people [T, P, 2] [m]; NaN where absent.
-        rays: Number of rays in a turn.
+        people: Positions (x, z) of people [T, P, 2] [m]; NaN while absent.
+        rays: Number of rays per revolution.
         radius_m: Radius of the disc of a person [m].
     """
     angles = -np.pi + np.arange(rays) * (2 * np.pi / rays)

@@ -1,4 +1,4 @@
-"""Records of a recording as JSON, and columns as rows of numbers, which standard messages cannot hold."""
+"""Storage of records as JSON, and of columns as rows of numbers, for data without a standard ROS message."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ RECORDS = {
 
 
 def carried(columns: Mapping[str, NDArray[Any]], told: Sequence[str]) -> list[Column]:
-    """Return the columns that `COLUMNS_TOPIC` contains: all that no other message contains, without the time."""
+    """Return the columns for `COLUMNS_TOPIC`: all that no other message contains, without the time."""
     return [column for column in layout_of(columns) if column.name not in told and column.name != "time_ns"]
 
 
 def labels_of(layout: Sequence[Column]) -> list[str]:
-    """Return the names of the numbers in a row, as ``metrics.dist_agents`` or ``agent_0.action.1``."""
+    """Return the names of the numbers in a row, such as ``metrics.dist_agents`` or ``agent_0.action.1``."""
     names = []
     for column in layout:
         width = _numbers(column)
@@ -48,7 +48,7 @@ def labels_of(layout: Sequence[Column]) -> list[str]:
 
 
 def rows_of(columns: Mapping[str, NDArray[Any]], layout: Sequence[Column], rows: int) -> NDArray[np.float64]:
-    """Return the numbers of some columns [T, W]. Integers of 64 bits become two of 32, which a float64 can hold."""
+    """Return columns as rows of numbers [T, W]; a 64-bit integer becomes two 32-bit ones, which float64 can hold."""
     parts = [np.zeros((rows, 0))]
     for column in layout:
         values = np.ascontiguousarray(columns[column.name]).reshape(rows, column.width)
@@ -59,10 +59,10 @@ def rows_of(columns: Mapping[str, NDArray[Any]], layout: Sequence[Column], rows:
 
 
 def columns_from(rows: NDArray[np.float64], layout: Sequence[Column]) -> dict[str, NDArray[Any]]:
-    """Return the columns from their rows of numbers: the inverse of `rows_of`.
+    """Return the columns from rows of numbers, as the inverse of `rows_of`.
 
     Raises:
-        FormatError: the rows have another width.
+        FormatError: the rows do not have the width of the layout.
     """
     widths = [_numbers(column) for column in layout]
     if rows.shape[1] != sum(widths):
@@ -94,7 +94,7 @@ def episode_text(
     """Return the records of a recording as JSON, for `EPISODE_TOPIC`.
 
     Args:
-        recording: The recording.
+        recording: Recording whose records are written.
         layout: Columns of `COLUMNS_TOPIC`.
         start_ns: Stamp of time 0 of the recording [ns].
         robots: Names of the frames of robots by number of the agent.
@@ -113,10 +113,10 @@ def episode_text(
 
 
 def read_episode(text: str, *, path: object) -> dict[str, Any]:
-    """Return the values of `episode_text`: the episode and records as such, ``columns`` as a layout.
+    """Return the contents of `episode_text`: the episode, the records, and the layout ``columns``.
 
     Raises:
-        FormatError: it is damaged, or of a newer version.
+        FormatError: the text is damaged, or has a newer version.
     """
     try:
         document = json.loads(text)

@@ -1,4 +1,4 @@
-"""Files of tracks of people as recordings, with the walls of an occupancy map."""
+"""Import of files with tracks of people as recordings, with walls from an occupancy map."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from h3data_ros.track_tables import UNITS, TrackTable, by_id, parse_table
 
 BYTES_MAX = 500_000_000
 SLOW_S = 10.0
-"""Time between observations of one agent above which times are not in seconds [s]."""
+"""Time between observations of one agent above which the times cannot be in seconds [s]."""
 SPARSE = 1.5
-"""Ratio of present people to those observed in a row above which their times differ, so that rows need a rate."""
+"""Ratio of present to observed people per row above which observations are not simultaneous, so that rows need a rate."""
 
 
 def read_tracks(file: str | os.PathLike[str], *, tracks: ImportRequest) -> Recording:
     """Read a file of tracks: CSV with named columns, ETH/UCY, TrajNet++, THÖR-MAGNI or ATC.
 
-    Coordinates are those of a plane with z up, as in `h3data_ros.frames`. ``tracks.robot`` names the id of the robot; without
-    it all are people, whom profile ``field`` measures.
+    Coordinates are in a plane with z up, as in `h3data_ros.frames`. ``tracks.robot`` is the id of the robot. Without it
+    all tracks are people, which the profile ``field`` measures.
 
     Raises:
         InputError: an option is wrong or missing; the message says which.

@@ -1,4 +1,4 @@
-"""Tracks of a robot and of people, from a bag or a file, as a recording for metrics, reports and pictures."""
+"""Recordings made from tracks of a robot and of people, for metrics, reports and pictures."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from h3data_motion.walk_synthesis import SYNTHETIC_BODY, walk_columns
 from h3data_ros.transforms import at_times
 
 GAP_S = 0.5
-"""Longest gap between observations across which poses are interpolated [s]; in longer gaps there are none."""
+"""Longest gap between observations across which poses are interpolated [s]."""
 JUMP_MPS, JUMP_M = 8.0, 1.0
-"""Speed and distance that nobody exceeds except by noise: a track that jumps farther becomes two people."""
+"""Speed [m/s] and distance [m] above which a change of position is noise; a track that jumps farther is cut in two."""
 TELEPORTING = 0.5
-"""Share of jumping tracks above which the unit or the rate is wrong."""
+"""Share of jumping tracks above which the unit or the rate must be wrong."""
 PLACE_MAX_M = 1e8
-"""Greatest coordinate of a place [m]; UTM has 1e7. Those beyond count as unknown, as their squares overflow."""
+"""Greatest coordinate of a position [m] (UTM has 1e7); greater ones count as unknown, because their squares overflow."""
 FAR_M = 1000.0
 """Distance of the origin above which it is moved by whole metres, as world coordinates are float32 [m]."""
 CELLS_MAX = 20_000_000
 """Largest product of rows and people of one recording."""
 HEADING_S, HEADING_M = 0.5, 0.1
-"""Time over which headings are measured as directions of motion [s], and least distance covered in it [m]; below it the
-last heading stays."""
+"""Time over which headings are measured as directions of motion [s], and least distance covered in it [m]; below it,
+the last heading is kept."""
 FOOTPRINT_M, HEIGHT_M = 0.25, 0.5
 """Radius and height of the cylinder that shows a robot without a model."""
 Array = NDArray[np.float64]
@@ -45,18 +45,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """Places of one agent at its own times."""
+    """Positions of one agent over time, with the times of its observations."""
 
     name: str
     time_ns: NDArray[np.int64]
-    """Times [N], in any order."""
+    """Times of observations [ns], shape [N], in any order."""
     poses: Array
-    """Poses (pose7) in the world [N, 7], at the floor; the quaternion is NaN if only the place is known."""
+    """World poses (pose7) on the floor, shape [N, 7]; the quaternion is NaN if only the position is known."""
 
 
 @dataclass
 class Import:
-    """Facts about an import, as in ``episode.info``."""
+    """Facts about an import, which are stored in ``episode.info``."""
 
     source: dict[str, Any]
     """Format and name of the file."""
@@ -68,10 +68,10 @@ class Import:
 
 
 def parse_goal(text: str) -> tuple[float, float]:
-    """Return the goal (x, z) in the world of a text ``x,y`` in the frame of the map [m].
+    """Parse a goal ``x,y`` in the frame of the map [m] and return it as (x, z) in the world [m].
 
     Raises:
-        InputError: it is not two numbers.
+        InputError: the text is not two numbers.
     """
     try:
         x, y = (float(part) for part in text.split(","))
@@ -83,7 +83,7 @@ def parse_goal(text: str) -> tuple[float, float]:
 
 
 def clean_tracks(tracks: Sequence[Track], told: Import) -> list[Track]:
-    """Return the tracks in the order of their times, without unknown places, and cut where they jump.
+    """Return tracks sorted by time, without unknown positions, and cut at jumps.
 
     Raises:
         FormatError: most tracks jump, so that the unit or the rate must be wrong.
@@ -127,10 +127,10 @@ def clean_tracks(tracks: Sequence[Track], told: Import) -> list[Track]:
 
 
 def rows_at(people: Sequence[Track], robot: Track | None, hz: float | None, told: Import) -> NDArray[np.int64]:
-    """Return the times of the rows [T]: with ``hz`` a fixed rate, else all at which people were observed.
+    """Return the times of the rows [T] [ns]: at the rate ``hz``, or else whenever people were observed.
 
-    Where nobody observed people for longer than `GAP_S`, rows are at times at which the robot was, no more often than
-    people are observed elsewhere. A gap in all tracks has one row without poses, so that nothing is joined across it.
+    In gaps of people's observations longer than `GAP_S`, rows are at the robot's times, but not more often than
+    elsewhere. A gap in all tracks has one row without poses, so that nothing is interpolated across it.
 
     Raises:
         InputError: the rate is not sensible.
@@ -187,15 +187,15 @@ def record_tracks(
     task: str,
     model: str = "",
 ) -> Recording:
-    """Return the recording of tracks: the robot first, then the people in the order of their first observation.
+    """Return a recording of tracks, with the robot first and then the people in order of first observation.
 
-    Columns ``agent_<i>.recorded`` hold whether a row's pose was observed, and not interpolated. Postures of people are
-    synthesized from their paths (`h3data_motion.walk_synthesis`), headings that nobody observed are those of motion. A robot
-    is a body of ``model`` (`h3data.bodies.load_robot`) at rest, or without one a cylinder.
+    Columns ``agent_<i>.recorded`` state whether a row's pose was observed instead of interpolated. Postures of people
+    are synthesized from their paths (`h3data_motion.walk_synthesis`). Unobserved headings are directions of motion. A
+    robot has the body ``model`` (`h3data.bodies.load_robot`) at rest, or is a cylinder if there is no model.
 
     Raises:
-        InputError: ``hz`` is not sensible, there is no robot ``model``, or nobody is the robot.
-        FormatError: there is nothing to record, most tracks jump, or they are too long for one recording.
+        InputError: ``hz`` is not sensible, there is no robot ``model``, or there is a model but no robot.
+        FormatError: there are no observations, most tracks jump, or they are too long for one recording.
     """
     if model and robot is None:
         raise InputError(
@@ -313,7 +313,7 @@ def _base(track: Track, rows: NDArray[np.int64], offset: Array) -> tuple[NDArray
 
 
 def headings_of_motion(time_ns: NDArray[np.int64], xz: Array) -> Array:
-    """Return headings [N] [rad] of a path [N, 2]: its direction over `HEADING_S`; at rest, the last one."""
+    """Return headings [N] [rad] of a path [N, 2]: its direction over `HEADING_S`, or the last one at rest."""
     seconds = (time_ns - time_ns[0]) * 1e-9
     reach = max(HEADING_S / 2, float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0)
     ends = [
@@ -334,7 +334,7 @@ def headings_of_motion(time_ns: NDArray[np.int64], xz: Array) -> Array:
 
 
 def on_floor(poses: Array) -> Array:
-    """Return upright poses [N, 7] at height 0 with the places and headings of others."""
+    """Return upright poses [N, 7] at height 0 with the same positions and headings."""
     return ground_pose(poses[:, [0, 2]], heading_from_quat(poses[:, 3:]).reshape(-1), 0.0).astype(np.float64)
 
 

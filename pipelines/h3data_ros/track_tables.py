@@ -1,4 +1,4 @@
-"""Tables of tracks of people: CSV with named columns, and the files of ETH/UCY, TrajNet++, THÖR-MAGNI and ATC."""
+"""Parser of tables with tracks of people: CSV, ETH/UCY, TrajNet++, THÖR-MAGNI and ATC."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ _MARKER = re.compile(r"(?P<body>\S+) (?:Centroid_|- \d+ )(?P<axis>[XY])$")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackTable:
-    """Observations in a file, one per row."""
+    """Observations in a file of tracks, one per row."""
 
     layout: str
     """Name of the kind of file."""
     ids: Sequence[str]
-    """Identity of the person in each row [N]."""
+    """Identity of the person in each row, shape [N]."""
     t: Array
-    """Times [s], or numbers of frames [N]."""
+    """Times [s], or frame numbers, shape [N]."""
     frames: bool
     """True if ``t`` counts frames."""
     xy: Array
-    """Places in the unit of the file [N, 2]."""
+    """Positions in the unit of the file, shape [N, 2]."""
     heading: Array | None = None
-    """Headings about +z [rad] [N]."""
+    """Headings about +z [rad], shape [N]; None if the file has none."""
     unit: str = "m"
     """Unit of length in this kind of file."""
     left_out: Sequence[str] = ()
@@ -60,14 +60,14 @@ def parse_table(text: str, columns: Sequence[str], robot: str, *, path: object) 
     """Return the observations of a file of tracks.
 
     Args:
-        text: The file.
-        columns: Names of the columns in their order, ``_`` for one that is not read, or ``meaning=name``; empty: as named in
-            the first line, or as usual in files of numbers.
-        robot: Id of the robot, which is kept even if it is no person.
+        text: Content of the file.
+        columns: Names of the columns in order (``_`` for an ignored one), or ``meaning=name``. If empty, they are those
+            of the first line, or the usual ones of files of numbers.
+        robot: Id of the robot, which is included even if it is not a person.
         path: Name of the file for messages.
 
     Raises:
-        InputError: the columns do not say what is needed.
+        InputError: a necessary column is missing.
         FormatError: the file is damaged, or empty.
     """
     lines = text.splitlines()

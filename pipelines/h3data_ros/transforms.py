@@ -1,4 +1,4 @@
-"""Trees of frames over time, from messages of tf2."""
+"""Trees of frames over time, built from messages of tf2."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class _Edge:
 
 
 class TransformTree:
-    """Tree of frames, each with the poses that were received for it."""
+    """Tree of frames with the poses that were received for each frame."""
 
     def __init__(self) -> None:
         self._edges: dict[str, _Edge] = {}
@@ -41,7 +41,7 @@ class TransformTree:
         return frame in self._edges or any(edge.parent == frame for edge in self._edges.values())
 
     def add(self, parent: str, child: str, time_ns: int, pose: tuple[float, ...], *, still: bool = False) -> None:
-        """Add the pose [7] of a frame in its parent at a time; static (``still``) ones are valid at all times."""
+        """Add the pose7 of a frame in its parent at a time [ns]; static (``still``) ones are valid at all times."""
         edge = self._edges.get(child)
         # a frame has one parent for the whole bag, the last one received; poses in other parents are dropped
         if edge is None or edge.parent != parent:
@@ -66,9 +66,9 @@ class TransformTree:
     def poses(self, frame: str, root: str, times: NDArray[np.int64], gap_ns: int) -> NDArray[np.float64]:
         """Return the poses [T, 7] of ``frame`` in ``root`` at times [T]; both must be connected.
 
-        Between stamps poses are interpolated. The most frequent transform must have stamps no farther apart than
-        ``gap_ns``, else the pose is NaN; slower ones, as corrections of a localization, are interpolated over any time and
-        hold before their first and after their last stamp.
+        Poses are interpolated between stamps. Where stamps of the most frequent transform are farther apart than
+        ``gap_ns``, the pose is NaN. Slower transforms, such as corrections of a localization, are interpolated over any
+        time, and held before their first and after their last stamp.
         """
         ours, theirs = self._chain(frame), self._chain(root)
         # what both have above them cancels out, and multiplying by it would cost digits
@@ -116,8 +116,9 @@ def at_times(
 ) -> NDArray[np.float64]:
     """Return poses [T, 7] at times [T] from poses [N, 7] at stamps [N], which increase.
 
-    At a stamp the pose is exactly the one given. Between stamps up to ``gap_ns`` apart it is interpolated, elsewhere NaN.
-    Without a gap every time has a pose, before the first and after the last stamp that of the nearest.
+    At a stamp the pose is exactly the one given. Between stamps up to ``gap_ns`` apart it is interpolated, and
+    elsewhere it is NaN. Without ``gap_ns``, every time has a pose; before the first and after the last stamp it is the
+    nearest one.
     """
     after = np.clip(np.searchsorted(stamps, times), 0, len(stamps) - 1)
     exact = stamps[after] == times

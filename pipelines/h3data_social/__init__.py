@@ -1,4 +1,4 @@
-"""Metrics of robots among people, from recordings: the profiles ``field`` (one person) and ``social`` (any number of them).
+"""Metrics of robots among people: the profiles ``field`` (one person) and ``social`` (any number of people).
 
-The group ``h3data.profiles`` finds them, so that nothing else imports this package.
+The profiles are entry points of the group ``h3data.profiles``, so that no other package imports this one.
 """

@@ -1,4 +1,4 @@
-"""Definitions of metrics with common parts."""
+"""Helper that creates definitions of metrics with common parts."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def define_metric(
     binary: bool = False,
     version: int = 1,
 ) -> Metric:
-    """Return a metric that is 0 or more, up to 1 if it is ``binary``.
+    """Return the definition of a metric that is at least 0, and at most 1 if it is ``binary``.
 
-    ``notation`` is put before the reading of a metric that reads the poses of people.
+    ``notation`` precedes the description of a metric that uses the poses of people.
     """
     return Metric(
         id=f"{profile}/{group}/{name}@{version}",

@@ -1,4 +1,4 @@
-"""People near a robot, for metrics that measure it near them."""
+"""Selection of the measured robot and the people near it, for metrics."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from h3data.recording.records import Recording
 
 
 def find_others(recording: Recording) -> tuple[int, tuple[int, ...]]:
-    """Return the agent that is measured, and all agents that it is measured near: the first robot, and every person.
+    """Return the numbers of the measured agent (the first robot) and of the agents near it (all people).
 
-    Without a robot and a person: the first agent, and all others. An `UnmeasurableError` says that there are fewer than two.
+    Without a robot and a person, these are the first agent and all others. An `UnmeasurableError` is raised if there
+    are fewer than two agents.
     """
     robot, first = find_pair(recording)
     kinds = [agent.kind for agent in recording.agents]
@@ -20,7 +21,7 @@ def find_others(recording: Recording) -> tuple[int, tuple[int, ...]]:
 def find_pair(recording: Recording) -> tuple[int, int]:
     """Return the indices of two agents: the first robot and the first human, else the first two of any kind.
 
-    The first of them is measured, near the second. An `UnmeasurableError` says that there are fewer than two.
+    The first of them is measured, near the second. An `UnmeasurableError` is raised if there are fewer than two agents.
     """
     agents = recording.agents
     if {"robot", "human"} <= {a.kind for a in agents}:

@@ -1,1 +1,1 @@
-"""Homes in the files of other programs (`usd`, `procthor`), robots in MJCF (`mjcf`) or without settings (`robot_guess`)."""
+"""Readers of homes of other programs (`usd`, `procthor`) and of robots (`mjcf`, `robot_guess`)."""

@@ -1,4 +1,4 @@
-"""Cache of converted scenes of other formats: a result is used until one of its files changes."""
+"""Cache of scenes converted from other formats; a result is used until one of its files changes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from h3data.scene.scene_file import load_scene, save_scene
 
 log = logging.getLogger(__name__)
 VERSION = 1
-"""Version that is part of every key: raise it when a reader changes its results."""
+"""Version that is part of every cache key; increase it when a reader changes its results."""
 ROOM_BYTES = 4e9
 """Total size of conversions above which the least recently used ones are deleted [bytes]."""
 _LICENCES = ("license", "licence", "copying", "notice")
@@ -27,14 +27,15 @@ _SHOWN_CHARACTERS = 2000
 
 
 def converted(path: Path, options: Sequence[Any], read: Callable[[], tuple[Scene, Sequence[str] | None]]) -> Scene:
-    """Return the scene of a file: from the cache, else by ``read``, which then also returns the files on which it depends.
+    """Return the scene of a file from the cache, or else from ``read``.
 
-    The licence beside the file is printed when it is converted, and is ``licence`` in `Scene.source`.
+    The licence next to the file is printed when the file is converted, and is ``licence`` in `Scene.source`.
 
     Args:
-        path: The file.
-        options: All that changes the result, besides the files.
-        read: Function that reads the scene. Files of None: the scene is not kept, because something is missing.
+        path: File of the scene.
+        options: Options that change the result.
+        read: Function that returns the scene and the files on which it depends, or None for them if some are missing,
+            so that the scene is not cached.
     """
     folder = cache_folder("scenes")
     words = json.dumps([VERSION, str(path.resolve()), *map(str, options)])
@@ -56,7 +57,7 @@ def converted(path: Path, options: Sequence[Any], read: Callable[[], tuple[Scene
 
 
 def licence_beside(path: Path) -> str:
-    """Return the beginning of the licence in the folder of a file; empty if there is none."""
+    """Return the first part of the licence in the folder of a file; empty if there is none."""
     with suppress(OSError):
         for file in sorted(path.resolve().parent.iterdir()):
             if file.name.lower().split(".")[0] in _LICENCES and file.is_file() and file.stat().st_size < 1e6:

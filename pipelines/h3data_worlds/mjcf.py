@@ -1,15 +1,16 @@
-"""Robots in MJCF, the format of MuJoCo, as the records of `h3data.bodies.robots.urdf`. Needs the extra ``mjcf``.
+"""Reader of robots in MuJoCo's format MJCF (needs the extra ``mjcf``).
 
-MuJoCo itself reads and compiles the file, so defaults, includes and frames are as it has them; the records are made from the
-compiled model. Read: bodies, hinge, slide and ball joints with their anchors, references and ranges, linear couplings of
-joints (as mimics), geoms of all kinds but planes, height fields and signed distances, colours, inertias, and the keyframe
-``home`` as resting posture. The robot is the body of the world with the most joints; a free joint of it is left out, for
-its base drives. Left out with a warning: other bodies, tendons, further constraints, textures. Actuators, sensors and
-cameras are not read. Meshes are thinned to `MAX_TRIANGLES` in all, once, in the cache folder ``robots``.
+MuJoCo itself reads and compiles the file, which resolves defaults, includes and frames. The compiled model is converted
+to the records of `h3data.bodies.robots.urdf`. The reader supports bodies, hinge, slide and ball joints with their
+anchors, references and ranges, linear couplings of joints (as mimics), geoms of all kinds but planes, height fields and
+signed distances, colours, inertias, and the keyframe ``home`` as resting posture. The robot is the body of the world
+with the most joints; its free joint is ignored, because its base drives. Other bodies, tendons, further constraints and
+textures are ignored with a warning. Actuators, sensors and cameras are not read. Meshes are thinned to `MAX_TRIANGLES`
+in total, once, in the cache folder ``robots``.
 
-Refused: DOCTYPE and entities, includes that are missing or include themselves, elements that make many others
-(``replicate``, ``composite``, ``flexcomp``) or huge pictures, plug-ins, files far above the model, free joints within the
-robot, and what MuJoCo refuses.
+Some files are refused: those with DOCTYPE and entities, includes that are missing or include themselves, elements that
+make many others (``replicate``, ``composite``, ``flexcomp``) or huge pictures, plug-ins, files far above the model,
+free joints within the robot, and files that MuJoCo refuses.
 """
 
 from __future__ import annotations
@@ -40,18 +41,18 @@ from h3data.mesh.thinning import thin_mesh
 _log = logging.getLogger(__name__)
 
 MAX_TRIANGLES = 20_000
-"""Largest number of triangles of all visible meshes; above it, all are thinned alike."""
+"""Largest number of triangles of all visible meshes; above it, all are thinned by the same factor."""
 LEAST_VERTICES = 40
-"""Least number of vertices of a mesh that is thinned."""
+"""Smallest number of vertices to which a mesh is thinned."""
 ROUNDS = 4
 MAX_ASSET_BYTES = 1 << 30
 """Largest size of all meshes and pictures of a model together [bytes]."""
 MAX_SIDE = 8192
 """Largest number of rows or columns of pictures and height fields that the file generates."""
 FOLDERS_UP = 2
-"""Largest number of folders above a model in which its files may lie."""
+"""Largest number of folder levels above a model in which its files may be."""
 FARTHEST_M = 1e4
-"""Largest number of a place or size [m]."""
+"""Largest coordinate or size [m]."""
 _SIDES = {"texture": ("width", "height"), "hfield": ("nrow", "ncol")}
 _RUNNING = {"memory", "nstack", "njmax", "nconmax"}
 """Memory of a running simulation, which is never reserved here."""
@@ -65,12 +66,12 @@ def read_mjcf(path: str | Path, *, warn: bool = True) -> Urdf:
     """Read the robot of an MJCF file.
 
     Args:
-        path: The file.
-        warn: True logs what is left out, and the model's licence, in one line each.
+        path: MJCF file.
+        warn: True to log ignored content, and the model's licence, in one line each.
 
     Raises:
         InputError: There is no such file.
-        FormatError: It is not MJCF, or not one that this can use.
+        FormatError: The file is not MJCF, or has unsupported content.
         MissingAssetError: Files that it includes or names are missing.
         MissingExtraError: MuJoCo is not installed.
     """
@@ -112,7 +113,7 @@ def licence_of(path: Path) -> str:
 
 # --- the files of a model ---------------------------------------------------------------------------------------------
 def mjcf_files(path: Path) -> list[Path]:
-    """Return the model, its included files, and the meshes and pictures that these name, each once.
+    """Return the paths of the model, its included files, and its meshes and pictures, without repetitions.
 
     Raises:
         InputError: There is no such file.

@@ -1,8 +1,8 @@
-"""Houses of ProcTHOR (JSON) as scenes of boxes: for navigation and crowds, not for pictures.
+"""Reader of ProcTHOR houses (JSON) as scenes of boxes, for navigation and crowds but not for pictures.
 
-A house names assets of Unity, whose meshes are not in it. Boxes have the sizes that an asset database gives: any JSON file
-called ``asset-database.json`` beside the house or in an asset folder, with ``assetId`` and ``boundingBox`` of each asset.
-Fields are those of the schema `SCHEMA`: ``rooms``, ``walls``, ``doors``, ``windows``, ``objects``.
+A house refers to assets of Unity, whose meshes are not in the file. Boxes have the sizes in an asset database: a JSON
+file called ``asset-database.json`` next to the house or in an asset folder, with ``assetId`` and ``boundingBox`` of
+each asset. Fields are those of the schema `SCHEMA`: ``rooms``, ``walls``, ``doors``, ``windows``, ``objects``.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ BYTES_MAX = 64_000_000
 """Largest size of a file that is read [bytes]."""
 BOXES_MAX = 50_000
 WALL_M = 0.06
-"""Thickness of walls, which have none in the file [m]."""
+"""Thickness of walls, which the file does not state [m]."""
 FLAT_M = 0.03
-"""Height below which nothing collides with things, such as rugs [m]."""
+"""Height below which objects such as rugs have no collision shapes [m]."""
 SCHEMA = "1.0.0"
 PLACE_MAX_M = 300.0
-"""Greatest coordinate of things in a house [m]."""
+"""Greatest coordinate of objects in a house [m]."""
 _FLOOR, _WALL, _THING = (205, 203, 198), (232, 230, 226), (176, 160, 140)
 _UPRIGHT = np.array([0, 0, 0, 0, 0, 0, 1.0])
 
@@ -83,12 +83,12 @@ class _House(msgspec.Struct):
 
 
 def read_house(file: SceneFile) -> Scene:
-    """Read a house, mirrored along z from Unity's left-handed frame into ours.
+    """Read a house, mirrored along z from Unity's left-handed frame to the right-handed world.
 
-    All doors are open: their holes have no leaves. Windows are holes over their sills.
+    All doors are open holes without leaves. Windows are holes above their sills.
 
     Raises:
-        FormatError: the file is damaged or no house, or too large.
+        FormatError: the file is damaged, is not a house, or is too large.
         SceneError: sizes of assets are missing, and ``file.allow_missing`` is false.
     """
     path = Path(file.path)

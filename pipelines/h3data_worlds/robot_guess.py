@@ -1,6 +1,6 @@
-"""Settings of a robot guessed from its URDF: a first ``robot.toml`` to edit, and the defaults without one.
+"""Guessed settings of a robot from its URDF, as a first ``robot.toml`` to edit or as defaults without one.
 
-Guesses are geometric where geometry decides (base, height, resting posture) and by name where it does not (hand, cameras).
+Base, height and resting posture are guessed from geometry; hand and cameras are guessed by name.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from h3data_worlds.robot_posture import compact_posture
 from h3data_worlds.shape_points import shape_points
 
 HANDS = (r"gripper|hand|palm", r"tool|tcp|eef?\b|end_?effector|grasp")
-"""Names of links that grasp, the most specific first."""
+"""Patterns of names of links that grasp, the most specific first."""
 NOT_HANDS = r"finger|thumb|jaw|knuckle|pad|tip\b|camera|optical|wheel|leg|foot|toe|head|caster"
 EYES = r"camera|optical|rgb|eye|head"
 MOST_LINKS = 300
-"""Number of links above which a tree is no robot (humanoids have about 60) and would take long to fold."""
+"""Number of links above which a file does not count as a robot (humanoids have about 60)."""
 LEAST_ARM_JOINTS = 4
 """Number of joints below which a chain without a hand's name is a leg, a head or a wheel."""
 BASE_TOP_M = 0.35
-"""Height below which the lowest point of a part lies that belongs to the base's footprint [m]."""
+"""Height below which the lowest point of a part must lie to belong to the base's footprint [m]."""
 TIGHT = 1.25
-"""Multiple of half the width of the base at which the discs of a row are wide enough; more discs would be hardly
-narrower."""
+"""Multiple of half the base's width at which the discs of a row are small enough; more discs would hardly be smaller."""
 MOST_SEGMENTS = 10_000
 """Largest number of pieces into which the outline of a base is cut, such as that of a ground plane."""
 DISCS = 5
 LEAST_RADIUS_M = 0.1
 WIDEST_M = 0.36
-"""Radius up to which discs are widened to cover a folded arm beside the base [m]; wider ones do not fit doors of 0.8 m."""
+"""Largest radius to which discs are widened to cover a folded arm next to the base [m]; larger ones do not fit doors of
+0.8 m."""
 HAND_CAMERA_UP_M, HAND_CAMERA_BACK_M, HAND_CAMERA_AIM_M = 0.06, 0.08, 0.25
 """Place of the camera of a hand above the hand's shapes and behind its load, and the distance of the point that it looks at."""
 SHELLS = 4
-"""Largest number of shapes, one around the other, out of which a camera is moved."""
+"""Largest number of nested shapes out of which a camera is moved."""
 LENS_M = 0.01
 SNAP = 0.9
 """Cosine between a direction and an axis of its link above which the axis is used instead (26 degrees)."""
@@ -58,11 +58,11 @@ class Hand(NamedTuple):
 
 
 def guess_settings(robot: Robot, sure: Collection[str], *, fold: bool = True) -> RobotSettings:
-    """Return settings for a robot that has none of its own.
+    """Return guessed settings for a robot without a settings file.
 
     Args:
-        robot: The robot as loaded without any, its base frame on the floor.
-        sure: Names of the links whose shapes are their own, not stand-ins.
+        robot: Robot loaded without settings, with its base frame on the floor.
+        sure: Names of the links whose shapes are real ones, not stand-ins.
         fold: True folds the arm over the base; False keeps the posture in which the robot was loaded.
     """
     if len(robot.links) > MOST_LINKS:
@@ -105,7 +105,7 @@ def _base_height(robot: Robot, joints: Array, sure: Sequence[int]) -> float:
 
 
 def guess_base(robot: Robot, joints: Array, body: Sequence[int], height: float) -> tuple[list[float], float]:
-    """Return places along x and the radius [m] of a row of discs that covers the base: all low parts of the body [D]."""
+    """Return a row of discs that covers the low parts of the body: positions along x [D] [m] and their radius [m]."""
     frames = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
     parts = [_points(robot, k, frames) for k in body if robot.links[k].shapes]
     low = [part[:, [0, 2]] for part in parts if part[:, 1].min() + height < BASE_TOP_M]

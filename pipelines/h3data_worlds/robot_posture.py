@@ -1,4 +1,4 @@
-"""Resting posture for an arm: folded over its base, so that the robot passes where its base passes."""
+"""Search for a resting posture in which the arm is folded over the base, so that the robot fits through doors."""
 
 from __future__ import annotations
 
@@ -12,24 +12,23 @@ from h3data.geometry import IDENTITY_POSE, Array, transform_points
 from h3data.scene.shape_bounds import shape_bounds
 
 SAMPLES, KEPT, ROUNDS = 2000, 6, 30
-"""Number of random postures, number of the best of them, and number of rounds that improve these: about a second for an
-arm of eight joints."""
+"""Number of random postures, number of the best ones that are improved, and number of rounds of improvement. For an arm
+of eight joints this takes about a second."""
 FLOOR_M = 0.15
-"""Height below which no part of the arm should be."""
+"""Height above the floor that all parts of the arm should have at least [m]."""
 SPARE_M = 0.03
-"""Distance that the arm keeps from the body and from itself."""
+"""Least distance of the arm from the body and from itself [m]."""
 BODY_WEIGHT, SELF_WEIGHT = 10.0, 4.0
-"""Weights of a metre inside the body, or inside the arm itself, added up over points, compared with a metre beyond the
-base."""
+"""Weights of a metre inside the body, and inside the arm itself, compared with a metre beyond the base."""
 
 
 def compact_posture(robot: Robot, hand: int, body: Sequence[int], joints: Array, reach_m: float) -> Array:
-    """Return joint positions [J] in which the arm sticks out least beyond a circle around the robot's root.
+    """Return joint positions [J] in which the arm extends least beyond a circle around the robot's root.
 
     Args:
-        robot: The robot.
+        robot: Model of the robot.
         hand: Link at the end of the arm.
-        body: Links that the arm must keep out of.
+        body: Links that the arm must not enter.
         joints: Positions of all other joints [J].
         reach_m: Radius of the circle [m].
     """

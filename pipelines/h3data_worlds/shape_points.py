@@ -1,4 +1,4 @@
-"""Points on collision shapes."""
+"""Sample points on collision shapes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from h3data.scene.shape_bounds import PRISM_SIDES, shape_corners
 
 
 def shape_points(shape: Shape) -> Array:
-    """Return points [N, 3] on a shape, in its own frame: all corners, or points all around its round parts."""
+    """Return points [N, 3] [m] on a shape in its own frame: all corners, and points around its round parts."""
     if isinstance(shape, Hull):
         return np.asarray(shape.points, np.float64)
     if isinstance(shape, Box):

@@ -1,5 +1,6 @@
-"""Human-in-the-loop sessions in a browser, live.
+"""Human-in-the-loop sessions that people play live in a browser.
 
-A front process (`front`) holds sockets and seats and imports neither NumPy nor numba; workers (`worker`) step many worlds
-each (`live`), 30 times a second, over `sim_kinematic.tasks.runner.Session`. h3data docs play has the protocol.
+A front process (`front`) serves sockets and seats and imports neither NumPy nor numba. Workers (`worker`) step many
+worlds each (`live`), 30 times a second, with `sim_kinematic.tasks.runner.Session`. ``h3data docs play`` describes the
+protocol.
 """

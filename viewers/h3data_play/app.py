@@ -1,4 +1,7 @@
-"""Applications to play: a task with its rules, words and markers. Your own app is a subclass, given as ``module:Class``."""
+"""Applications for live play: a task with its rules, words and markers.
+
+A custom app is a subclass of `App`, given as ``module:Class``.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +23,10 @@ _LEAF = "leaf"
 
 @dataclass(frozen=True, kw_only=True)
 class Hud:
-    """Text that a player reads during a game."""
+    """Text that the page shows to a player during a game."""
 
     task: str
-    """Task of the player, as a sentence."""
+    """Instruction for the player, as a sentence."""
     left_s: float | None = None
     """Remaining time [s]; None: no limit is shown."""
     lines: tuple[str, ...] = ()
@@ -32,26 +35,27 @@ class Hud:
     """Instructions by the player's device (``keys``, ``mouse``, ``touch``, ``pad``, ``headset``), instead of the page's
     own hints. For devices without an entry, the page lists the possible actions."""
     marker: tuple[float, float, float] | None = None
-    """Point of the floor that the page marks with a ring, a label and a sign on the map [m]."""
+    """Point of the floor in the world [m] that the page marks with a ring, a label and a sign on the map."""
     uses: tuple[str, ...] = ()
-    """Actions of the player on each object in place (``clean``, ``fill``, ``pour``, ``on``, ``off``), or none."""
+    """Action that the player can apply to each object (``clean``, ``fill``, ``pour``, ``on`` or ``off``); empty for
+    objects without one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """Goal of an object; goal number k is that of object number k."""
+    """Goal of an object; the goal at index k belongs to the object at index k."""
 
     position: tuple[float, float, float]
-    """Goal position of the object's origin [m]."""
+    """Goal position of the object's origin in the world [m]."""
     label: str
-    """Name of the place."""
+    """Name of the goal's place, as players read it."""
 
 
 class Phrase(NamedTuple):
-    """A message that a player sends by pressing a button."""
+    """Predefined message that a player sends by pressing a button."""
 
     label: str
-    """Words of the button on the page."""
+    """Label of the button on the page."""
     text: str
     """Text of the message."""
 
@@ -60,43 +64,44 @@ class Spot(NamedTuple):
     """A place that a player can choose from a list."""
 
     name: str
-    """Name of the place in a message ``bring``."""
+    """Name of the place in the message ``bring``."""
     label: str
     room: str
-    """Words for the room under which the place is listed."""
+    """Name of the room under which the place is listed."""
 
 
 class App:
-    """Application for people who play an episode of a task. The defaults suit any task; a subclass overrides what differs.
+    """Application with which people play an episode of a task.
 
-    An object of it lives for one episode. `reset`, then for each step `on_input` for what players have sent, `step` for what
-    happened, `hud` for what each player reads.
+    The defaults suit any task, and a subclass overrides what differs. An instance serves one episode. `reset` is called
+    first. In each step, `on_input` is then called with each message of a player, `step` with the result of the step,
+    and `hud` for the text of each player.
     """
 
     task: ClassVar[str | type[Task]] = ""
-    """Task: its class, its name, or ``module:Class``."""
+    """Task of the app: its class, its name, or ``module:Class``."""
     rules: ClassVar[Mapping[str, Any]] = {}
-    """Rules of the task that differ where people play it."""
+    """Rules of the task that have other values than in simulations without players."""
     seats: ClassVar[tuple[str, ...]] = ("person",)
-    """Roles that are played unless the command line names others."""
+    """Roles that people play, unless the command line names others."""
     partner: ClassVar[str | None] = None
-    """Policy of the agents that nobody plays, unless the command line names one; None: the task's default, ``solo``: there are
-    none."""
+    """Policy of the agents without a player, unless the command line names one. None selects the task's default, and
+    ``solo`` adds no such agents."""
 
     question: ClassVar[str] = ""
-    """Question to players when an episode has ended, answered by yes, no or unsure; empty: none is asked, and players can
-    neither skip an episode nor report a problem."""
+    """Question to players at the end of an episode, answered by yes, no or unsure. If it is empty, no question is
+    asked, and players can neither skip an episode nor report a problem."""
 
     session: Session
     ended: str = ""
     """Reason why the episode has ended: by its rules, by a player or by the app; empty while it is running."""
 
     def reset(self, session: Session) -> None:
-        """Begin an episode."""
+        """Prepare the app for a new episode."""
         self.session = session
 
     def driver(self, number: int) -> Driver:
-        """Return the driver with which a player moves agent ``number``: one with skills, if the task has them."""
+        """Return the driver with which a player moves agent ``number``, which has skills if the task has them."""
         if not self.session.task.control.has_skills:
             return Driver(self.session, number)
         is_person = self.session.episode.roster[number].kind == "human"
@@ -107,17 +112,16 @@ class App:
 
         The reason is a sentence.
 
-        Like everything in an app, it may depend only on messages and the world, so that a game can continue after a
-        crash.
+        The result may depend only on messages and the world, so that a game can continue after a crash.
         """
         del number, message
         return ""
 
     def on_input(self, number: int, message: Act) -> None:
-        """Handle a message of the player of agent ``number``, which has been accepted."""
+        """Handle an accepted message from the player of agent ``number``."""
 
     def step(self, result: StepResult) -> str:
-        """Handle the end of a step; a text that is returned ends the episode for that reason."""
+        """Handle the end of a step; return a reason to end the episode, or an empty text to continue."""
         del result
         return ""
 
@@ -128,34 +132,37 @@ class App:
         return Hud(task=sentence_of(str(info["instruction"])), left_s=self.left_s)
 
     def goals(self) -> list[Goal]:
-        """Return the markers in the home: the goals of things, in tasks that have such goals."""
+        """Return the goals of objects that the page marks in the home, if the task has such goals."""
         targets = getattr(self.session.episode, "targets", ())
         return [Goal(position=tuple(t.goal.tolist()), label=spoken(t.destination) or "its goal") for t in targets]
 
     def phrases(self) -> list[Phrase]:
-        """Return the messages that are sent by one press. If there are any, the page has a box for others too."""
+        """Return the messages that players send by one press of a button.
+
+        If there are any, the page also has a box for free text.
+        """
         return []
 
     def spots(self) -> list[Spot]:
-        """Return the places to which players can bring what they hold, by name."""
+        """Return the named places to which players can bring the object in hand."""
         return []
 
     def spoken(self, text: str) -> str:
-        """Return the words of a message of another agent, as players read them."""
+        """Return the text in which players read a message from another agent."""
         return text
 
     def label(self, name: str) -> str:
-        """Return the word for an object of the recording."""
+        """Return the word by which players read an object's name."""
         return name.rpartition("/")[2].replace("_", " ")
 
     def joint_label(self, name: str) -> str:
-        """Return the words for a door or drawer ``thing/part``."""
+        """Return the words by which players read the name ``object/part`` of a door or drawer."""
         thing, _, part = name.rpartition("/")
         words = self.label(thing) if part == _LEAF else f"{self.label(thing)} {self.label(part)}"
         return " ".join(dict.fromkeys(words.split()))
 
     def over(self, number: int) -> str:
-        """Return the text for the player at the end."""
+        """Return the text that the player of agent ``number`` reads at the end of the episode."""
         ended = self.session.ended or self.ended
         return {
             "success": "Done. Thank you!",
@@ -167,13 +174,13 @@ class App:
 
     @property
     def left_s(self) -> float:
-        """Time until the task's limit of steps [s], whole seconds."""
+        """Time until the task's limit of steps, in whole seconds [s]."""
         spec, steps = self.session.episode.spec, len(self.session.recorder)
         return float((spec.max_steps - steps + 29) // 30)
 
 
 def sentence_of(words: str) -> str:
-    """Return an instruction as a sentence."""
+    """Return an instruction with a capital letter and a full stop."""
     return words[:1].upper() + words[1:] + ("" if words.endswith(".") else ".")
 
 
@@ -189,7 +196,7 @@ _APPS: Registry[Any] = Registry("h3data.apps", {}, what="app", check=_require_ap
 
 
 def find_app(name: str) -> type[App]:
-    """Return the app with a name, or ``module:Class``, where the class may also be that of a task.
+    """Return the app class for a name, for ``module:Class``, or for a task class.
 
     Raises:
         InputError: there is no such app.

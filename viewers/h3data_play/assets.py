@@ -1,7 +1,7 @@
-"""Files that a client needs once for each home and set of agents.
+"""Files that the page loads once for each home and set of agents.
 
-They are a GLB of everything, a manifest that says how states move its parts, and the distance grid on which the client
-predicts the player's own walk.
+They are a GLB of the home and the agents, a manifest that maps states to its parts, and the distance grid with which
+the page predicts the player's own walk.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from sim_kinematic.tasks.recorder import finished
 from sim_kinematic.tasks.runner import Session
 
 GRID_UNIT_M = 1e-3
-"""Unit to which distances of the grid are rounded [m]: a prediction is as exact as its grid."""
+"""Unit to which distances of the grid are rounded [m]."""
 
 
 def world_glb(session: Session) -> bytes:
-    """Return the home with robots as links and people as skins, as after a first step in which nobody acts."""
+    """Return a GLB of the home, with robots as links and people as skins, in the pose after one step without commands."""
     names = {member.name: External() for member in session.episode.roster}
     still = Session(session.task, session.episode, names)
     still.step()
@@ -59,13 +59,13 @@ def _anonymous(recording: Any) -> Any:
 
 
 def distance_grid(session: Session) -> tuple[bytes, dict[str, Any]]:
-    """Return the distance to the nearest obstacle, int16 [nx, nz], and its entry in the manifest."""
+    """Return the distances to the nearest obstacle as int16 [nx, nz], and their entry in the manifest."""
     data, entry = _grid(session.episode.free)
     return data, {**entry, "url": f"world/{digest(data)}.sdf"}
 
 
 def floor_message(free: FreeSpace) -> dict[str, Any]:
-    """Return the message with a new distance grid for pages, with its cells as Base64 of zlib data."""
+    """Return the message that sends a changed distance grid to pages, with its cells as Base64 of zlib data."""
     data, entry = _grid(free)
     return {**entry, "cells": base64.b64encode(zlib.compress(data, 6)).decode()}
 
@@ -82,7 +82,10 @@ def _grid(free: FreeSpace) -> tuple[bytes, dict[str, Any]]:
 
 
 def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
-    """Return names, rigs and rules of motion; ``me`` is -1, which the front replaces by the player's agent."""
+    """Return the manifest with names, rigs and rules of motion of a session.
+
+    Its entry ``me`` is -1, which the front process replaces by the number of the player's agent.
+    """
     header, episode = session.recorder.header, session.episode
     moving = sorted((body.moving, body.name) for body in header.bodies if body.moving >= 0)
     agents = []
@@ -123,7 +126,7 @@ def _joints(session: Session, app: App, movable: set[str]) -> list[dict[str, Any
 
 
 def digest(data: bytes) -> str:
-    """Return the name of a file by its content."""
+    """Return the file name for some content: its digest."""
     return hashlib.sha256(data).hexdigest()[:20]
 
 

@@ -1,6 +1,6 @@
-"""Messages between the front and a worker over a socket: ``(kind, key, body)`` as msgpack, after their length.
+"""Messages between the front process and a worker over a socket: ``(kind, key, body)`` as length-prefixed msgpack.
 
-No pickle: a worker that is taken over must not be able to run anything in the front.
+Pickle is not used, because a compromised worker must not be able to run code in the front process.
 """
 
 from __future__ import annotations
@@ -20,37 +20,37 @@ _decoder: msgspec.msgpack.Decoder[Letter] = msgspec.msgpack.Decoder(Letter)
 
 
 def encode(kind: str, key: str, body: Any) -> bytes:
-    """Return a message with its length in front."""
+    """Return a message between processes as bytes, preceded by its length."""
     data = _encoder.encode((kind, key, body))
     return len(data).to_bytes(_LENGTH, "little") + data
 
 
 async def receive(reader: asyncio.StreamReader) -> Letter:
-    """Return the next letter.
+    """Return the next message from the other process.
 
     Raises:
-        asyncio.IncompleteReadError: the other side is gone.
+        asyncio.IncompleteReadError: the other process has closed the connection.
     """
     size = int.from_bytes(await reader.readexactly(_LENGTH), "little")
     return _decoder.decode(await reader.readexactly(size))
 
 
 class Closed(Exception):
-    """Error that is raised when the other side has closed the channel."""
+    """Error that is raised when the other process has closed the channel."""
 
 
 class Channel:
-    """Worker's end of the channel: it waits for letters no longer than its time allows."""
+    """Worker's end of the channel to the front process, with a time limit for waiting."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._socket, self._buffer = sock, bytearray()
         sock.setblocking(True)
 
     def send(self, kind: str, key: str, body: Any) -> None:
-        """Send a letter; wait if the front is slow.
+        """Send a message to the front process, and wait if it is slow.
 
         Raises:
-            Closed: the front is gone.
+            Closed: the front process has closed the channel.
         """
         try:
             self._socket.sendall(encode(kind, key, body))
@@ -58,10 +58,10 @@ class Channel:
             raise Closed from None
 
     def receive(self, wait_s: float) -> list[Letter]:
-        """Return the letters that have come, after at most ``wait_s`` [s].
+        """Return the messages that have arrived, after waiting for at most ``wait_s`` [s].
 
         Raises:
-            Closed: the front is gone.
+            Closed: the front process has closed the channel.
         """
         ready = select.select([self._socket], [], [], max(wait_s, 0.0))[0]
         while ready:

@@ -1,4 +1,4 @@
-"""Sockets of the front, and the common parts of its requests."""
+"""WebSocket connections of the front process, and common handling of its HTTP requests."""
 
 from __future__ import annotations
 
@@ -21,13 +21,16 @@ from h3data_play.seats import Game
 from h3data_play.workers import WorkerProcess
 
 QUEUE = 90
-"""Largest number of states that wait for a slow client; older ones are dropped (each is complete except for objects at
-rest)."""
+"""Largest number of states that wait for a slow client; older states are dropped, because each state is complete except
+for objects at rest."""
 SEND_S = 20.0
 IDLE_S, BODY_S, LINGER_S, ANSWER_S, PING_S = 30.0, 20.0, 2.0, 60.0, 10.0
-"""Time limits of a connection [s]. It is closed when no request comes within ``IDLE_S``, when one has begun and does
-not end within ``BODY_S`` (and ``LINGER_S``, so that the other side may read the reason), when nothing of an answer is
-read for ``ANSWER_S``, or when a socket answers no ping within one and a half times ``PING_S``."""
+"""Time limits of a connection [s].
+
+A connection is closed when no request comes within ``IDLE_S``, when a request is not complete within ``BODY_S`` (and
+``LINGER_S``, so that the client can read the reason), when the client reads nothing of an answer for ``ANSWER_S``, or
+when a WebSocket answers no ping within one and a half times ``PING_S``.
+"""
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::[0-9]*)?")
 """A Host header: a name or address, in brackets if it is one of IPv6, and a port."""
 HEADERS = {
@@ -41,7 +44,7 @@ HEADERS = {
 
 @dataclass(eq=False)
 class Live:
-    """A game on a worker."""
+    """Game that runs on a worker, with the connections of its players."""
 
     game: Game
     worker: WorkerProcess
@@ -49,14 +52,14 @@ class Live:
     sockets: dict[str, Connection] = field(default_factory=dict)
     """Connections of the connected players, by seat."""
     beginning: asyncio.Task[None] | None = None
-    """Task that waits until the episode has been prepared."""
+    """Task that waits until the episode has been prepared; None if the game has started."""
 
 
 class Connection:
-    """Socket of one seat with the messages that wait to be sent."""
+    """WebSocket of one seat, with its queue of outgoing messages."""
 
     def __init__(self, socket: web.WebSocketResponse, agent: int, heard: float = 0.0) -> None:
-        """``heard``: by the clock of the front."""
+        """Create a connection; ``heard`` is the time of the last message by the clock of the front process."""
         self.socket, self.agent = socket, agent
         self.heard = heard
         """When something came, other than pings."""
@@ -66,7 +69,7 @@ class Connection:
         self._ends = False
 
     def state(self, data: bytes) -> None:
-        """Queue a state; the oldest one is dropped for a slow client."""
+        """Queue a state, dropping the oldest one if the client is slow."""
         self._states.append(data)
         self._news.set()
 
@@ -76,12 +79,12 @@ class Connection:
         self._news.set()
 
     def end(self) -> None:
-        """Close the connection after everything has been sent."""
+        """Close the connection after all queued messages have been sent."""
         self._ends = True
         self._news.set()
 
     async def send(self) -> None:
-        """Send until the socket closes."""
+        """Send queued messages until the connection is closed."""
         while True:
             await self._news.wait()
             self._news.clear()
@@ -97,15 +100,15 @@ class Connection:
 
 
 class Failed(Exception):
-    """A game could not begin."""
+    """Error for a game that could not start."""
 
 
 class Stuck(Failed):
-    """Error for a game that cannot begin now but will as soon as it can; the text is for players."""
+    """Error for a game that cannot start yet and will be started later; the text is for players."""
 
 
 def runner_of(app: web.Application) -> web.AppRunner:
-    """Return the runner that serves an application, and closes idle connections."""
+    """Return the runner that serves an application and closes idle connections."""
     return web.AppRunner(app, access_log=None, shutdown_timeout=0.5, keepalive_timeout=IDLE_S, lingering_time=LINGER_S)
 
 
@@ -117,7 +120,7 @@ def pong(client_ms: float) -> bytes:
 def require_own_origin(request: web.Request) -> None:
     """Refuse a request that a page of another site makes with a player's cookies.
 
-    Programs that send no Origin have no cookies to misuse.
+    Requests without an Origin header come from programs, which have no cookies to misuse.
     """
     origin = request.headers.get("Origin")
     if origin is not None and origin.partition("://")[2] != request.host:
@@ -125,11 +128,12 @@ def require_own_origin(request: web.Request) -> None:
 
 
 def is_known(name: str, names: Iterable[str]) -> bool:
-    """Return whether a server has a name.
+    """Return whether a host name belongs to the server.
 
     Args:
-        name: Name of a host, without port.
-        names: Names of the server beside loopback. ``*.example.org`` stands for one label in place of ``*``.
+        name: Host name, without port.
+        names: Names of the server in addition to loopback. ``*.example.org`` accepts any single label in place of
+            ``*``.
     """
     name = name.lower().rstrip(".")
     try:
@@ -143,8 +147,7 @@ def is_known(name: str, names: Iterable[str]) -> bool:
 def require_known_host(names: Iterable[str]) -> Any:
     """Return a middleware that refuses requests to host names that are not the server's.
 
-    A page of another site whose name resolves to this machine would otherwise count as a page of this server, with the
-    player's cookies.
+    Otherwise a page of another site whose name resolves to this machine could use the player's cookies (DNS rebinding).
     """
     known = tuple(names)
 
@@ -166,7 +169,7 @@ def require_known_host(names: Iterable[str]) -> Any:
 
 @web.middleware
 async def strict(request: web.Request, handler: Any) -> web.StreamResponse:
-    """Add security headers to all answers, and drop clients that do not read theirs: a middleware."""
+    """Add security headers to all answers, and drop clients that do not read their answers (a middleware)."""
     found = None if request.transport is None else request.transport.get_extra_info("socket")
     if found is not None and hasattr(socket, "TCP_USER_TIMEOUT"):  # whoever takes nothing of the answer is hung up on
         with contextlib.suppress(OSError):

@@ -1,7 +1,7 @@
-"""Drivers, which convert the wishes of players to commands of the simulator, one for each played agent.
+"""Drivers, which convert messages of players to commands of the simulator; each played agent has one.
 
-A driver is a function of the messages and of the world alone, so that the same messages give the same commands when a session
-goes on after a crash.
+A driver depends only on the messages and the world, so that the same messages give the same commands when a session
+continues after a crash.
 """
 
 from __future__ import annotations
@@ -50,21 +50,21 @@ from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.tasks.runner import Session, StepResult
 
 CANCEL = Action("wait", steps=1)
-"""Choice that interrupts a running skill and does nothing itself."""
+"""Action that interrupts a running skill and has no other effect."""
 DOOR_SHUT = "A closed door is in the way."
 MOST_UNSAID = 5
-"""Largest number of messages of a player that wait for their step; one is sent in each."""
+"""Largest number of text messages of a player that wait to be sent; one is sent in each step."""
 GOAL_M = 0.02
 """Distance from an object's goal within which a chosen place means the goal [m]."""
 
 WAVES = 3
-"""Number of movements of a hand that waves."""
+"""Number of strokes of a waving hand."""
 OFFER_STEPS = 15
-"""Number of steps between two searches for seats, of which one in a part of the home that is new to the player takes 50 ms."""
+"""Number of steps between two searches for seats; a search in a part of the home that is new to the player takes 50 ms."""
 
 
 class Driver:
-    """Driver of an agent that walks by keys, or to a point of the floor: enough for tasks without skills."""
+    """Driver of an agent that walks by keys or to a point of the floor, for tasks without skills."""
 
     def __init__(self, session: Session, number: int) -> None:
         self.session, self.number = session, number
@@ -76,7 +76,7 @@ class Driver:
 
     # --- from the player ----------------------------------------------------------------------------------------------
     def take(self, message: Act, refusal: str = "") -> str:
-        """Take one message, which acts on the next step.
+        """Accept a message, which takes effect in the next step.
 
         Returns:
             A sentence for the player if the message cannot be carried out, or the app's ``refusal``.
@@ -90,7 +90,7 @@ class Driver:
         return why
 
     def follow(self, message: Act) -> str:
-        """Follow a message; return a sentence for the player if it cannot be carried out."""
+        """Carry out a message; return a sentence for the player if that is impossible."""
         if isinstance(message, Move):
             # float32, as it is recorded
             self.forward, self.turn = float(np.float32(message.f)), float(np.float32(message.t))
@@ -108,15 +108,18 @@ class Driver:
         raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.", code="H3-PLAY-013")
 
     def release(self) -> None:
-        """Release all keys of a player who has left. The world stands still meanwhile, so skills and walks may go on later."""
+        """Release all keys of a player who has left.
+
+        The world stands still until the player returns, so skills and guided walks may continue later.
+        """
         self.forward = self.turn = 0.0
 
     def interrupt(self) -> None:
-        """End the skill or walk that the server leads."""
+        """End the running skill or guided walk."""
         self.guide = None
 
     def go(self, xz: Any, heading: float | None = None) -> str:
-        """Set out for a place; return the reason if that is impossible."""
+        """Start a guided walk to a floor point (x, z) [m]; return the reason if that is impossible."""
         try:
             self.guide = Guide.to(self.floor, self.base, self.place[0], xz, heading=heading)
         except InputError as fault:
@@ -129,7 +132,7 @@ class Driver:
         return Velocity(*self.velocity())
 
     def velocity(self) -> tuple[float, float]:
-        """Return the forward velocity and the turn of the next step."""
+        """Return the forward velocity and the turn of the next step, each from -1 to 1."""
         if self.guide is not None:
             velocity = self.guide.velocity(*self.place)
             if velocity is not None:
@@ -143,12 +146,12 @@ class Driver:
 
     @property
     def busy(self) -> bool:
-        """Return whether the agent is moved by something other than the player's keys."""
+        """Return whether the agent is moved by a skill or guided walk instead of the player's keys."""
         return self.guide is not None
 
     @property
     def offers(self) -> int:
-        """Flags of the postures that the player could take now (`h3data_play.wire.SITS` and those after it)."""
+        """Return the flags of the postures that are possible now (`h3data_play.wire.SITS` and the flags after it)."""
         return 0
 
     def can_place(self, point: Any) -> str:
@@ -159,7 +162,7 @@ class Driver:
     # --- the body -----------------------------------------------------------------------------------------------------
     @property
     def place(self) -> tuple[Array, float]:
-        """Return the place of the agent: (x, z), heading."""
+        """Return the position (x, z) [m] and the heading [rad] of the agent."""
         recorder = self.session.recorder
         if recorder.latest is None:
             start = self.session.episode.starts[self.number]
@@ -169,17 +172,17 @@ class Driver:
 
     @property
     def floor(self) -> FreeSpace:
-        """Floor on which paths are found."""
+        """Free floor on which paths are planned."""
         return self.session.episode.floor(self.number)
 
     @property
     def base(self) -> BaseSpec:
-        """Discs and limits by which the agent moves."""
+        """Discs and limits with which the agent moves."""
         return driving_base(self.session, self.number)
 
 
 class SkillDriver(Driver):
-    """Driver of an agent that also picks, places, hands over, opens and closes by skills, one after the other."""
+    """Driver of an agent that can also pick, place, hand over, open and close by skills, one after the other."""
 
     def __init__(self, session: Session, number: int) -> None:
         super().__init__(session, number)
@@ -190,7 +193,7 @@ class SkillDriver(Driver):
         """Messages to other agents that have not been said yet."""
 
     def follow(self, message: Act) -> str:
-        """Follow a message; pick, place, hand over, open and close become skills."""
+        """Carry out a message; pick, place, hand over, open and close start skills."""
         if isinstance(message, Say):
             said = Message(message.text, message.to)
             said.check([member.name for member in self.session.episode.roster])
@@ -219,13 +222,13 @@ class SkillDriver(Driver):
         return super().follow(message)
 
     def do(self, skills: list[Any]) -> str:
-        """Begin a sequence of skills."""
+        """Start a sequence of skills."""
         self.interrupt()
         self.queue = skills
         return ""
 
     def put(self, point: Array, lead: bool) -> str:
-        """Place the held object."""
+        """Place the object in hand at a world point [3] [m]; with ``lead`` the agent walks there first."""
         k = self.objects.held(self.number)
         if k < 0:
             return "The hand holds nothing."
@@ -250,7 +253,10 @@ class SkillDriver(Driver):
         return self.do([Action("nav_to_handle", message.j), skill] if message.lead else [skill])
 
     def barred(self, k: int, lead: bool, *, at_goal: bool = False) -> str:
-        """Return the reason why object ``k`` cannot be taken, or put at its goal, before something is opened; empty: it can."""
+        """Return the reason why object ``k`` is blocked until something is opened; empty if it is not.
+
+        The object may be blocked for taking, or for placing at its goal (``at_goal``).
+        """
         sight, openables = self.objects.sight, self.session.play.team.openables  # type: ignore[attr-defined]
         if sight is not None and not at_goal and not sight.known[self.number, k]:
             return sentence("not_seen")
@@ -260,7 +266,7 @@ class SkillDriver(Driver):
         return DOOR_SHUT if lead and self.door_before(point) >= 0 else ""
 
     def door_before(self, point: Array) -> int:
-        """Return the closed door between the agent and the places from which it could reach a world point [3]; -1: none."""
+        """Return the closed door between the agent and the places from which it could reach a point [3] [m], or -1."""
         team = self.session.play.team
         actor = team.actors[self.number]
         return team.door_before(actor, partial(actor.stands_on, point=point))
@@ -275,7 +281,7 @@ class SkillDriver(Driver):
         return super().go(xz, heading)
 
     def put_at(self, point: Array, lead: bool) -> str:
-        """Place the held object elsewhere than at its goal."""
+        """Place the object in hand at a point [3] [m] that is not its goal."""
         del point, lead
         return "The robot puts things down at their goals only."
 
@@ -295,7 +301,7 @@ class SkillDriver(Driver):
         self.queue = []
 
     def command(self) -> Any:
-        """Return the command of the next step; None while a skill is running."""
+        """Return the command of the next step; None to continue the running skill."""
         if self.unsaid:
             return self.speak()
         if self.cancelled:
@@ -311,15 +317,15 @@ class SkillDriver(Driver):
         return self.walking(*velocity)
 
     def speak(self) -> Any:
-        """Return the command that sends the next message."""
+        """Return the command that sends the next text message."""
         return self.unsaid.pop(0).action
 
     def walking(self, forward: float, turn: float) -> Any:
-        """Return the command of a step between skills."""
+        """Return the command of a step without a skill, from the forward velocity and the turn."""
         return Velocity(forward, turn)
 
     def velocity(self) -> tuple[float, float]:
-        """Return forward velocity and turn of the next step; a failed walk drops the queued skills."""
+        """Return the forward velocity and the turn of the next step; a failed walk drops the queued skills."""
         failed = self.guide
         velocity = super().velocity()
         if failed is not None and failed.failed:
@@ -346,12 +352,12 @@ class SkillDriver(Driver):
 
     @property
     def floor(self) -> FreeSpace:
-        """Free floor on which the agent moves now."""
+        """Free floor on which the agent can move with the current state of doors."""
         return self.session.play.team.actors[self.number].free  # type: ignore[attr-defined]
 
     @property
     def objects(self) -> Any:
-        """Objects of the play, a `sim_kinematic.agents.skills.Objects`."""
+        """Objects of the episode, a `sim_kinematic.agents.skills.Objects`."""
         return self.session.play.team.objects  # type: ignore[attr-defined]
 
 
@@ -368,7 +374,7 @@ class PersonDriver(SkillDriver):
         """Flags of the seats that are near, and the step in which they were sought."""
 
     def follow(self, message: Act) -> str:
-        """Follow a message; those about hands and head set their targets."""
+        """Carry out a message; messages about hands and head set their targets."""
         if isinstance(message, Hand):
             if message.p is None:
                 self.hands.pop(message.side, None)
@@ -393,7 +399,7 @@ class PersonDriver(SkillDriver):
         return super().follow(message)
 
     def walking(self, forward: float, turn: float) -> PersonCommand:
-        """Return the command of a velocity with the targets of hands and head, or those of a gesture."""
+        """Return the command for a velocity, with the targets of hands and head or those of a running gesture."""
         right, head = self.hands.get("right"), self.head
         if self.gesture:
             gesture, seconds = GESTURES[self.gesture], self.gestured * STEP_S
@@ -405,7 +411,7 @@ class PersonDriver(SkillDriver):
         return PersonCommand(forward, turn, self.hands.get("left"), right, head)
 
     def reach_of(self, seconds: float) -> HandTarget:
-        """Return place and rotation of the right hand during the gesture of a standing person."""
+        """Return the target pose of the right hand at a time [s] of a standing person's gesture."""
         body = self.body.person.body
         quats, pelvis = (np.array(part) for part in body.clip_pose([0], [0.0]))
         add_gestures(body, quats, pelvis, [[NAMES.index(self.gesture), seconds, 1.0]])
@@ -414,7 +420,7 @@ class PersonDriver(SkillDriver):
         return HandTarget(tuple(hand_points(frames, body)[0].tolist()), tuple(wrist.tolist()))
 
     def put_at(self, point: Array, lead: bool) -> str:
-        """Put the object in hand at a world point [3]; with ``lead`` the person first walks to where they reach it."""
+        """Put the object in hand at a world point [3] [m]; with ``lead`` the person walks within reach first."""
         place = PlaceSkill(tuple(point.tolist()))
         if not lead:
             return self.do([place])
@@ -440,7 +446,7 @@ class PersonDriver(SkillDriver):
 
     @property
     def offers(self) -> int:
-        """Flags of the postures that the player could take now: the same that the simulator allows."""
+        """Return the flags of the postures that the player could take now, by the rules of the simulator."""
         if self.body.seat is not None:
             return SEATED
         if self.busy or self.objects.held(self.number) >= 0:
@@ -458,7 +464,7 @@ class PersonDriver(SkillDriver):
 
     @property
     def body(self) -> DrivenPerson:
-        """Person in the play."""
+        """Simulated person that the player moves."""
         return self.session.play.team.actors[self.number]  # type: ignore[attr-defined]
 
 
@@ -466,19 +472,19 @@ class RobotDriver(SkillDriver):
     """Driver of a robot with an arm, which its skills move."""
 
     def speak(self) -> Any:
-        """Return the command that sends the next message; it ends the running skill, which begins again after it."""
+        """Return the command that sends the next text message and restarts the running skill afterwards."""
         if self.runs:
             self.queue.insert(0, self.session.play.team.controllers[self.number].action)  # type: ignore[attr-defined]
         return super().speak()
 
     @property
     def base(self) -> BaseSpec:
-        """Discs and limits of the robot's own base, which also cover what the hand carries."""
+        """Discs and limits of the robot's base, which also cover the object in hand."""
         return self.session.play.team.actors[self.number].base  # type: ignore[attr-defined]
 
 
 def driving_base(session: Session, number: int) -> BaseSpec:
-    """Return discs and limits by which an agent moves under commands: a robot's base, or the disc of a person."""
+    """Return the discs and limits with which an agent moves by commands: a robot's base, or the disc of a person."""
     episode = session.episode
     if episode.roster[number].kind == "robot":
         return episode.bases[number]

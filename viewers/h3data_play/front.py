@@ -1,4 +1,7 @@
-"""Server for browsers: page, seats, sockets. It simulates nothing and imports neither NumPy nor numba."""
+"""Web server for browsers, with the page, the seats and the WebSockets.
+
+It simulates nothing and imports neither NumPy nor numba.
+"""
 
 from __future__ import annotations
 
@@ -37,16 +40,16 @@ from h3data_play.workers import Preparer, WorkerProcess, Workers
 PAGE = Path(__file__).parent / "web" / "dist"
 RATE_PER_S, BURST = 90.0, 180.0
 CAN_S = 0.09
-"""Least time between previews that are answered [s]: each takes milliseconds of the worker that all share. A page asks
-every 120 ms."""
+"""Least time between previews that are answered [s]. Each takes milliseconds of the worker that all players share; a
+page asks every 120 ms."""
 MOST_BUSY = 0.7
-"""Largest share of a core for a worker's games: a further one would slow down all others."""
+"""Largest share of a core for a worker's games; another game would slow down all of them."""
 AGAIN_S, SAY_S = 1.0, 60.0
-"""Seconds after which a failed write to the database is tried again, and between messages to the operator."""
+"""Seconds after which a failed write to the database is tried again, and seconds between messages to the operator."""
 NO_ROOM = "The server's disk is full. Nothing that you have done before is lost; try again in a minute."
 MOST_SPECTATORS = 20
 MOST_AHEAD = 4
-"""Number of episodes that are prepared while others are played."""
+"""Number of episodes that are prepared while earlier ones are played."""
 SEAT_S = 86400
 """Time for which a browser keeps its seat [s]."""
 SEATS_PER_ADDRESS = 12
@@ -54,14 +57,14 @@ SEATS_PER_ADDRESS = 12
 LOADING_S = 60.0
 """Time for which a seat is reserved for a player who has not connected yet because the home is still loading [s]."""
 AWAY_S = 20.0
-"""Time for which a disconnected browser keeps its seat against requests without a key [s]; with the link's key another
-browser gets it at once."""
+"""Time for which a disconnected browser keeps its seat against requests without a key [s]. A request with the link's
+key gets the seat at once."""
 BEGIN_S, POST_BYTES = 90.0, 64 * 1024
 ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
 
 
 def network(address: str) -> str:
-    """Return what counts as one network address: of IPv6 the first 64 bits, because one household has all that follow."""
+    """Return the part of an address that identifies a network: for IPv6 its first 64 bits."""
     try:
         parsed = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
@@ -78,7 +81,7 @@ def _sent(request: web.Request, task: asyncio.Task[None]) -> None:
 
 
 class WebServer:
-    """All seats and games of one plan."""
+    """Web server with all seats and games of one plan."""
 
     seat_s = SEAT_S
 
@@ -98,11 +101,11 @@ class WebServer:
         hosts: Sequence[str] = (),
         clock: Callable[[], float] = uptime,
     ) -> None:
-        """Sets up the server; it starts with its web application.
+        """Create the server, which starts with its web application.
 
         Args:
             plan: session that is played.
-            workers: number of worker processes, besides the spare one.
+            workers: number of worker processes, in addition to the spare one.
             tables: number of simultaneous games, for plans with one player.
             open_door: whether ``/`` leads to the seat of the only player; otherwise every seat has a secret link.
             secure: whether browsers connect through TLS: cookies are then for TLS only.
@@ -111,7 +114,8 @@ class WebServer:
             journal: journal of seats and games (default: the one in the plan's folder).
             seats_per_address: number of simultaneous seats for one network address.
             behind_proxy: whether the address is the one that a proxy names (``X-Forwarded-For``).
-            hosts: names by which browsers may reach the server, besides loopback and addresses; ``*.example.org`` has any first
+            hosts: names by which browsers may reach the server, besides loopback and addresses; ``*.example.org`` has
+                any first
                 label.
             clock: clock in seconds by which long absences are measured.
         """
@@ -160,7 +164,7 @@ class WebServer:
         return app
 
     def link(self, number: int) -> str:
-        """Return the path of a seat's page."""
+        """Return the URL path of a seat's page."""
         is_open = self.open_door and self.plan.seats[number] != "spectator"
         return "/" if is_open else f"/s/{self.journal.links[number]}/"
 
@@ -182,14 +186,14 @@ class WebServer:
         return web.FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-cache"})
 
     async def asset(self, request: web.Request) -> web.StreamResponse:
-        """Answer with a file of the page; their names have digests of their content."""
+        """Answer with a file of the page, whose name contains a digest of its content."""
         path = PAGE / request.match_info["path"]
         if not path.is_file() or ".." in path.parts:
             raise web.HTTPNotFound
         return web.FileResponse(path, headers={"Cache-Control": "public, max-age=31536000, immutable"})
 
     async def world(self, request: web.Request) -> web.StreamResponse:
-        """Answer with a GLB or distance grid, by its digest."""
+        """Answer with a GLB or a distance grid, requested by its digest."""
         found = self.preparer.files.get(request.match_info["name"])
         if found is None:
             raise web.HTTPNotFound(text="There is no such file any more. Reload the page.")
@@ -199,7 +203,7 @@ class WebServer:
 
     # --- sitting down -------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
-        """Give a browser its seat, the same one if it has one, and begin the next episode if there is none."""
+        """Give a browser its seat, or the seat that it already has, and start the next episode if none is running."""
         number = self._seat_number(request)
         await self._read(request, dict)
         token = request.cookies.get(self._cookie(number), "")
@@ -387,9 +391,9 @@ class WebServer:
 
     # --- from workers -------------------------------------------------------------------------------------------------
     def heard(self, worker: WorkerProcess, kind: str, key: str, body: Any) -> None:
-        """Handle a worker's letter about a game.
+        """Handle a worker's message about a game.
 
-        One that cannot be written to the disk now is read again later.
+        A message that cannot be written to the disk now is handled again later.
         """
         try:
             self._hear(worker, kind, key, body)
@@ -484,7 +488,7 @@ class WebServer:
         return len(self.journal.games) >= self.plan.episodes
 
     def lost(self, worker: WorkerProcess) -> None:
-        """Continue the games of a worker that died elsewhere, from what is on the disk."""
+        """Continue the games of a worker that died on another worker, from the data on the disk."""
         self.report({"lost": {"games": len(worker.games)}})
         lives = [live for live in self.lives.values() if live.worker is worker]
         loop = asyncio.get_running_loop()
@@ -505,7 +509,7 @@ class WebServer:
 
     # --- sockets ------------------------------------------------------------------------------------------------------
     async def play(self, request: web.Request) -> web.StreamResponse:
-        """Serve the socket of a seat."""
+        """Serve the WebSocket of a seat."""
         require_own_origin(request)
         number = self._seat_number(request)
         seat = self.journal.seats.get(request.match_info["sid"])

@@ -1,4 +1,4 @@
-"""Guided walking to a point of the floor by commands of speed and turn, as a player would steer."""
+"""Guided walking to a point of the floor by commands of speed and turn, like those of a player."""
 
 from __future__ import annotations
 
@@ -20,37 +20,38 @@ from sim_kinematic.motion.spec import BaseSpec
 STEPS_PER_S = 30
 ARRIVED_M = 0.01
 AHEAD_RAD = 0.1
-"""Largest angle of the next corner off the heading at which the guide walks on; else it turns on the spot, as the path
-clears obstacles only along its straight legs [rad]."""
+"""Largest angle between the heading and the next corner at which the guide walks forward [rad]. Above it the agent
+turns on the spot, because the path clears obstacles only along its straight legs."""
 STUCK_STEPS = 45
 """Number of steps without getting nearer to the next corner after which the guide gives up."""
 TURN_AS_M = 0.1
-"""Distance that counts as much as turning towards the corner by one radian [m]."""
+"""Distance that is added per radian of angle to the next corner when progress is measured [m]."""
 AGAIN_M = 0.05
 """Distance by which an agent must come nearer to the end before it tries a maneuver again [m]."""
 FLOOR_SNAP_M = 0.6
 """Distance from the free floor within which a point is moved onto it [m]: people who click on the foot of a cupboard
 mean the place before it."""
 NEAR_M = 2.0
-"""Largest distance from a click on unreachable floor to the nearest reachable place, to which the player is then led [m]."""
+"""Largest distance from a clicked point that is unreachable to the nearest reachable point, to which the player is then
+guided [m]."""
 
 
 @dataclass
 class Guide:
-    """Path of one body to one place, followed by velocity commands.
+    """Path of one body to one goal, followed by velocity commands.
 
-    Where only the middle of a base could pass, a base that maneuvers does so (`sim_kinematic.avoidance.maneuvers`).
+    Where only the middle of a base could pass, a base that can maneuver does so (`sim_kinematic.avoidance.maneuvers`).
     """
 
     free: FreeSpace
     base: BaseSpec
     """Discs and limits by which the body moves."""
     goal: Array
-    """Point (x, z) at which the path ends."""
+    """World point (x, z) at which the path ends [m]."""
     corners: list[Array]
-    """Remaining points (x, z) of the path."""
+    """Remaining world points (x, z) of the path [m]."""
     heading: float | None
-    """Direction to face at the end [rad]; None: any."""
+    """Direction to face at the end [rad]; None for any."""
     failed: bool = False
     _commands: list[list[float]] = field(default_factory=list)
     """Rest of a maneuver: forward and turn of each step."""
@@ -63,7 +64,7 @@ class Guide:
 
     @classmethod
     def to(cls, free: FreeSpace, base: BaseSpec, xz: Array, goal: ArrayLike, *, heading: float | None = None) -> Guide:
-        """Return a guide along the shortest path over a floor; to a point within `NEAR_M` of a goal that cannot be reached.
+        """Return a guide along the shortest path over a floor, or to a point within `NEAR_M` of an unreachable goal.
 
         Raises:
             InputError: no path leads to the goal; the message is for the player.
@@ -76,7 +77,7 @@ class Guide:
         return cls(free, base, path[-1], list(path[1:]), heading)
 
     def velocity(self, xz: Array, heading: float) -> tuple[float, float] | None:
-        """Return forward and turn, -1..1 each, for the next step; None: it has arrived, or has `failed`."""
+        """Return forward velocity and turn for the next step, each from -1 to 1; None if it has arrived or `failed`."""
         if self._commands:
             forward, turn = self._commands.pop(0)
             return forward, turn

@@ -1,7 +1,4 @@
-"""A live episode: one `Session`, a driver for each player, and a recording of all their messages.
-
-Messages are recorded as they were sent.
-"""
+"""Live episode: one `Session`, a driver for each player, and a recording of all their messages as they were sent."""
 
 from __future__ import annotations
 
@@ -48,7 +45,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
 
 
 def disk_fault(fault: BaseException | None) -> str:
-    """Return the fault of the disk that caused an error; empty if there is none."""
+    """Return a description of the disk error that caused an exception; empty if there is none."""
     while fault is not None:
         if isinstance(fault, OSError) and fault.errno in FULL:
             return fault.strerror or str(fault)
@@ -57,7 +54,10 @@ def disk_fault(fault: BaseException | None) -> str:
 
 
 class PatientSink:
-    """Sink that records a live game. Data that the disk does not accept waits in the writer, and the game waits for it."""
+    """Recording sink for a live game that waits while the disk accepts no data.
+
+    The data stay in the writer, and the game waits until they are written.
+    """
 
     def __init__(self, writer: RecordingWriter) -> None:
         self.writer, self.fault = writer, ""
@@ -77,11 +77,11 @@ class PatientSink:
         return self.writer.skill(span)
 
     def input(self, event: InputEvent) -> None:
-        """Append raw input."""
+        """Append a raw input event."""
         self.writer.input(event)
 
     def close(self, *, info: dict[str, Any]) -> None:
-        """Complete the recording, as soon as the disk accepts it."""
+        """Complete the recording as soon as the disk accepts it."""
         self._info = info
         self.retry()
 
@@ -90,7 +90,7 @@ class PatientSink:
         self.writer.abort()
 
     def retry(self) -> None:
-        """Write the data that wait."""
+        """Try again to write the data that wait."""
         info = self._info
         self._try(self.writer.flush if info is None else partial(self.writer.close, info=info))
 
@@ -105,10 +105,10 @@ class PatientSink:
 
 
 class EpisodeFactory:
-    """Source of the episodes of a plan, in one process."""
+    """Source of the episodes of a plan within one process."""
 
     def __init__(self, plan: PlayPlan) -> None:
-        """Loads the app, task and scenes of a plan.
+        """Load the app, task and scenes of a plan.
 
         Raises:
             InputError: there is no such app, task, scene, agent or policy.
@@ -143,7 +143,10 @@ class EpisodeFactory:
         return tuple(numbers)
 
     def partner_of(self, episode: Episode, number: int) -> str | AssignedPolicy:
-        """Return the policy of an agent without a player, under the plan's name: recordings hold no paths of this machine."""
+        """Return the policy of an agent without a player.
+
+        Its name is that of the plan, because recordings must not contain paths of this machine.
+        """
         plan = self.plan
         assert plan.partner is not None
         if plan.partner_here == plan.partner:
@@ -156,7 +159,7 @@ class EpisodeFactory:
         return self.source.sample(self.plan.seed, index)
 
     def finished(self, order: GameOrder) -> dict[str, Any] | None:
-        """Return how an episode ended whose complete recording already exists; else None."""
+        """Return how an episode ended if its complete recording already exists; else None."""
         path = Path(self.plan.out, order.name + ".mcap")
         if not path.exists() or path.with_name(path.name + ".part").exists():
             return None
@@ -175,7 +178,7 @@ class EpisodeFactory:
         }
 
     def begin(self, order: GameOrder) -> LiveGame:
-        """Begin an episode, or continue one that has an unfinished log."""
+        """Start an episode, or continue one that has an unfinished log."""
         path = Path(self.plan.out, order.name + ".mcap")
         path.parent.mkdir(parents=True, exist_ok=True)
         part, saved = path.with_name(path.name + ".part"), path.with_name(f".{path.name}.saved.mcap")
@@ -292,7 +295,7 @@ class LiveGame:
         return "" if self.sink is None else self.sink.fault
 
     def retry(self) -> None:
-        """Write everything that has been played to the disk, also the end of a game that has been closed."""
+        """Write all pending data of the game to the disk, including the end of a game that has been closed."""
         if self.sink is not None:
             self.session.recorder.flush()
             self.sink.retry()
@@ -301,7 +304,7 @@ class LiveGame:
             self.leftover = None
 
     def abort(self) -> None:
-        """Leave the game as the log that is on the disk, for a later server."""
+        """Stop the game and leave its log on the disk, so that a later server can continue it."""
         self.session.abort()
         self._let_go()
         if self.sink is not None:
@@ -309,13 +312,13 @@ class LiveGame:
 
     # --- from players -------------------------------------------------------------------------------------------------
     def take(self, number: int, message: Act, text: str, server_ms: float) -> str:
-        """Take a message of a player, which acts on the next step and is recorded as it was sent.
+        """Accept a message of a player, which takes effect in the next step and is recorded as it was sent.
 
         Returns:
             A sentence for the player if the message cannot be carried out.
 
         Raises:
-            InputError: the message is no command; nothing is recorded.
+            InputError: the message is not a command; nothing is recorded.
         """
         if isinstance(message, Remark) and not self.app.question:
             raise InputError(f"This cannot be done here: {type(message).__name__.lower()}.", code="H3-PLAY-013")
@@ -338,13 +341,13 @@ class LiveGame:
         return why
 
     def connected(self, number: int, here: bool) -> None:
-        """Note that a player came or left, whose keys then count as released."""
+        """Record that a player came or left; the keys of a player who left count as released."""
         if not here:
             self.drivers[number].release()
         self._record(CONNECTED if here else DISCONNECTED, number)
 
     def slip(self, steps: int) -> None:
-        """Note that the clock of the game has skipped some steps."""
+        """Record that the clock of the game has skipped some steps."""
         self.slipped += steps
         self._record(SLIP, 0, msgspec.json.encode({"steps": steps}).decode())
 
@@ -354,7 +357,7 @@ class LiveGame:
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def step(self) -> dict[int, str]:
-        """Play a step; return sentences for players by agent."""
+        """Play one step; return sentences for players, by agent number."""
         session = self.session
         for driver in self.drivers.values():
             command = driver.command()
@@ -376,7 +379,7 @@ class LiveGame:
         return {number: text for number, text in sentences.items() if text}
 
     def state(self, number: int, clock_ms: float, *, whole: bool) -> bytes:
-        """Return the message about the last step for the player of agent ``number``; -1: a spectator."""
+        """Return the state message of the last step for the player of agent ``number``, or for a spectator (-1)."""
         assert self.packed is not None, "a step has been played"
         driver, columns = self.drivers.get(number), self.columns
         flags = ENDED if self.ended else 0
@@ -390,9 +393,9 @@ class LiveGame:
     def barriers(self, number: int) -> list[list[int]]:
         """Return doors and drawers that the player of agent ``number`` has to open first, for each object.
 
-        For each object there are two numbers: the part to open before taking it, and before putting it at its goal. It
-        is what encloses the object, or a door between rooms that leaves no path to it; -1 if there is none. The list is
-        empty in homes without such parts, and for spectators.
+        For each object there are two numbers: the part to open before taking it, and before putting it at its goal. The
+        part is a door or drawer that encloses the object, or a closed door on the only path to it; -1 if there is none.
+        The list is empty in homes without such parts, and for spectators.
         """
         team: Any = self.session.play.team
         openables = getattr(team, "openables", None)
@@ -413,9 +416,10 @@ class LiveGame:
         return known[2]
 
     def seen(self, number: int) -> list[list[float] | None] | None:
-        """Return points [m] where the player of agent ``number`` last saw each object; None if never, or if it has gone since.
+        """Return the points [m] where the player of agent ``number`` last saw each object.
 
-        Altogether None if players know where everything is (the rule ``observe``), and for spectators.
+        An entry is None if the player never saw the object, or if it was no longer there. The result is None for
+        spectators, and if players know where everything is (the rule ``observe``).
         """
         sight = getattr(getattr(self.session.play.team, "objects", None), "sight", None)
         if sight is None or number not in self.drivers:
@@ -424,7 +428,10 @@ class LiveGame:
         return [point if known else None for known, point in points]
 
     def messages(self, number: int, since: int = 0) -> list[dict[str, Any]]:
-        """Return the messages that the player of agent ``number`` has said or heard, from number ``since`` on; -1: all."""
+        """Return the messages that the player of agent ``number`` has sent or received, from message ``since`` on.
+
+        For spectators (-1) all messages are returned.
+        """
         said = getattr(self.session.play.team, "messages", ())
         name = self.session.episode.roster[number].name if number >= 0 else None
         return [
@@ -436,14 +443,17 @@ class LiveGame:
 
     @property
     def floor(self) -> FreeSpace:
-        """Present floor, on which pages predict their players: doors move where agents have skills."""
+        """Return the current free floor, on which pages predict the motion of their players.
+
+        It changes with the doors if agents have skills.
+        """
         return getattr(self.session.play.team, "floor", self.session.episode.free)
 
     # --- the end ------------------------------------------------------------------------------------------------------
     def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:
         """Finish the recording; it has its final name once there is no `fault`.
 
-        Returns None, and leaves no file, if no step was played.
+        The result is None, and no file remains, if no step was played.
         """
         session, facts = self.session, self._let_go()
         if len(session.recorder) == 0:
@@ -467,10 +477,10 @@ class LiveGame:
 
     # --- after a crash ------------------------------------------------------------------------------------------------
     def play_again(self, recording: Recording) -> None:
-        """Bring a fresh game to the end of an unfinished recording, from its raw input alone.
+        """Bring a new game to the end of an unfinished recording by replaying its raw input.
 
         Raises:
-            H3DataError: the states came out otherwise: another version of the simulator.
+            H3DataError: the states differ, because another version of the simulator recorded them.
         """
         commands = recorded_commands(recording, self.session.task.control.from_json)
         # the first one of a step: after a choice that takes no time the agent goes on by itself

@@ -1,4 +1,4 @@
-"""Messages of players: JSON text, one for each change of their wishes."""
+"""Messages of players as JSON text; a page sends one for each change of its input."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PERIOD_S = 1 / 30
 MOST_BYTES = 4096
 """Length of the longest message that a socket accepts [bytes]."""
 MOST_CHARACTERS = 500
-"""Length of the longest text of a player, such as a message between agents
+"""Greatest length of a text from a player, such as a message to an agent [characters]
 (`sim_kinematic.agents.skills.LONGEST_MESSAGE`)."""
 
 Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
@@ -31,18 +31,21 @@ Rotation = tuple[Component, Component, Component, Component]
 
 
 class Message(msgspec.Struct, frozen=True, tag_field="k", kw_only=True):
-    """Message of a player's input. ``ct`` and ``rtt`` are the client's time and its measured round trip [ms]."""
+    """Base of the messages with a player's input.
+
+    ``ct`` and ``rtt`` are the client's time and its measured round trip [ms].
+    """
 
     seq: Count | None = None
-    """Number of the message within its page; state messages name the last one that has acted."""
+    """Number of the message within its page; state messages report the number of the last message that took effect."""
     step: Count | None = None
-    """Number of the step for which the message is meant; it acts then, or in the next step if that is over."""
+    """Number of the step for which the message is meant; None or a past step: it takes effect in the next step."""
     ct: float = 0.0
     rtt: float = 0.0
 
 
 class Move(Message, frozen=True, tag="move"):
-    """Message to walk or drive until further notice: shares of the speed and of the turn rate."""
+    """Message to walk or drive until further notice, with the speed and the turn rate as shares of their maximum."""
 
     f: Share = 0.0
     t: Share = 0.0
@@ -55,42 +58,42 @@ class GoTo(Message, frozen=True, tag="goto"):
 
 
 class Stop(Message, frozen=True, tag="stop"):
-    """Message to end a walk that the server guides."""
+    """Message to end a guided walk."""
 
 
 class Pick(Message, frozen=True, tag="pick"):
-    """Message to take object ``o``; with ``lead``, the player walks there first."""
+    """Message to take object ``o``; with ``lead``, the agent walks there first."""
 
     o: Index
     lead: bool = False
 
 
 class Place(Message, frozen=True, tag="place"):
-    """Message to put the held object down with its origin at a point; with ``lead``, the player walks there first."""
+    """Message to put the object in hand down with its origin at a point; with ``lead``, the agent walks there first."""
 
     p: Point
     lead: bool = False
 
 
 class Drop(Message, frozen=True, tag="drop"):
-    """Message to let go of the held object."""
+    """Message to drop the object in hand."""
 
 
 class Give(Message, frozen=True, tag="give"):
-    """Message to hand the held object to agent ``a``."""
+    """Message to hand the object in hand to agent ``a``."""
 
     a: Index
 
 
 class Open(Message, frozen=True, tag="open"):
-    """Message to open door or drawer ``j``; with ``lead``, the player walks there first."""
+    """Message to open door or drawer ``j``; with ``lead``, the agent walks there first."""
 
     j: Index
     lead: bool = False
 
 
 class Close(Message, frozen=True, tag="close"):
-    """Message to close door or drawer ``j``; with ``lead``, the player walks there first."""
+    """Message to close door or drawer ``j``; with ``lead``, the agent walks there first."""
 
     j: Index
     lead: bool = False
@@ -103,13 +106,13 @@ class Sit(Message, frozen=True, tag="sit"):
 
 
 class Gesture(Message, frozen=True, tag="gesture"):
-    """Message to wave with the right hand, or to look at a phone until the same message comes again."""
+    """Message to wave with the right hand, or to look at a phone until the message is repeated."""
 
     name: Literal["wave", "phone"]
 
 
 class Hand(Message, frozen=True, tag="hand"):
-    """Message with the position of a palm, in the person's root frame; without a point the arm is free again."""
+    """Message with the target position of a palm in the person's root frame [m]; without a point the arm is released."""
 
     side: Literal["left", "right"]
     p: Point | None = None
@@ -117,7 +120,7 @@ class Hand(Message, frozen=True, tag="hand"):
 
 
 class Head(Message, frozen=True, tag="head"):
-    """Message with the direction of the head relative to the chest: to the left and downwards [rad]."""
+    """Message with the direction of the head relative to the chest: angles to the left and downwards [rad]."""
 
     yaw: Angle
     pitch: Angle
@@ -131,14 +134,14 @@ class Use(Message, frozen=True, tag="use"):
 
 
 class Bring(Message, frozen=True, tag="bring"):
-    """Message to walk to a named place with the held object and put it there, optionally next to another object."""
+    """Message to carry the object in hand to a named place and put it there, optionally next to another object."""
 
     place: Name
     next_to: Name = ""
 
 
 class Say(Message, frozen=True, tag="say"):
-    """Message with a text for one other agent, or all."""
+    """Message with a text for one other agent, or for all agents."""
 
     text: Annotated[Words, Meta(min_length=1)]
     to: Name = ""
@@ -151,7 +154,7 @@ class Problem(Message, frozen=True, tag="problem"):
 
 
 class End(Message, frozen=True, tag="end"):
-    """Message to end the episode: the player considers the task finished, or skips it."""
+    """Message to end the episode, because the player considers the task finished or skips it."""
 
     why: Literal["finished", "skipped"]
 
@@ -174,7 +177,7 @@ class Ping(msgspec.Struct, frozen=True, tag_field="k", tag="ping"):
 
 
 class Can(msgspec.Struct, frozen=True, tag_field="k", tag="can"):
-    """Question whether the held object could be placed at a point. It changes nothing and is not recorded."""
+    """Message that asks whether the object in hand could be placed at a point; it changes nothing and is not recorded."""
 
     p: Point
 
@@ -204,8 +207,11 @@ Act = (
 """Messages that are recorded."""
 _DECODER: msgspec.json.Decoder[Act | Ping | Can] = msgspec.json.Decoder(Act | Ping | Can)
 MOST_DEEP = 32
-"""Largest nesting depth in JSON of clients. The limit of a decoder depends on the depth of its caller's stack, so that
-a worker could fail at a message that the front accepted."""
+"""Largest nesting depth in JSON of clients.
+
+The limit of a decoder depends on the depth of its caller's stack, so a worker could otherwise fail at a message that
+the front process accepted.
+"""
 _BRACKET = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"?|[\[{]|[\]}]', re.DOTALL)
 """A string, which may lack its end, or a bracket."""
 Kind = TypeVar("Kind")
@@ -221,10 +227,10 @@ def decode(text: str) -> Act | Ping | Can:
 
 
 def read_json(text: str | bytes, decoder: msgspec.json.Decoder[Kind]) -> Kind:
-    """Decode JSON that a client has sent: all of it goes through here.
+    """Decode JSON that a client has sent; all JSON from clients passes through this function.
 
     Raises:
-        msgspec.MsgspecError: the text is not JSON, is nested too deeply, or is not what the decoder expects.
+        msgspec.MsgspecError: the text is not JSON, is nested too deeply, or does not fit the decoder.
     """
     try:
         data = text.encode() if isinstance(text, str) else text

@@ -1,4 +1,4 @@
-"""Plan of games: made by the command line, read by the front and by workers. It never comes from a client."""
+"""Plan of games, which the command line makes for the front process and the workers; it never comes from a client."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 import msgspec
 
 SEATS = ("person", "robot", "spectator")
-"""Kinds of seats that a person can take."""
+"""Kinds of seats that a person at a browser can take."""
 VERSION = 1
 """Version of the protocol between page and server; the page refuses others."""
 
 
 class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
-    """Episodes for one table of players."""
+    """Plan of the episodes that are played at one table."""
 
     app: str
     """Name of an app, or ``module:Class``."""
@@ -23,23 +23,23 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     seats: tuple[str, ...] = ("person",)
     """Roles of the seats, from `SEATS`; players first."""
     partner: str | None = None
-    """Policy of all agents that nobody plays; None: the task's default."""
+    """Policy of all agents without a player; None selects the task's default."""
     scenes: str | tuple[str, ...] = "small"
     seed: int = 0
     episodes: int = 1
     speed: float = 1.0
-    """Speed of the clock, for scripted players: above 1 it runs faster, 0 means as fast as the machine can. Recordings
-    state it."""
+    """Speed of the clock relative to real time, for scripted players; 0 means as fast as possible. Recordings include
+    it."""
     weights_in: str = ""
-    """Folder to which a path of weights in ``partner`` is relative. Recordings repeat the relative path."""
+    """Folder to which a path of weights in ``partner`` is relative. Recordings contain the relative path."""
     motion: str | None = None
-    """Motion file of people's gait."""
+    """Motion file with the gait of people; None for the default gait."""
     rules: dict[str, Any] = {}
-    """Rules of the task that differ from the app's."""
+    """Rules of the task that replace those of the app."""
 
     @property
     def partner_here(self) -> str | None:
-        """Policy `partner`, with the path of a file of weights on this machine."""
+        """Policy in `partner`, where the path of a weights file is valid on this machine."""
         from sim_kinematic.policies.learned import PREFIX as WEIGHTS  # the server's process imports no simulator
 
         if self.partner is None or not self.weights_in or not self.partner.startswith(WEIGHTS):
@@ -48,11 +48,11 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def players(self) -> tuple[str, ...]:
-        """Seats of the players."""
+        """Seats that move an agent, without spectators."""
         return tuple(seat for seat in self.seats if seat != "spectator")
 
     def roster(self, usual: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the kinds of the agents, robots first: ``usual``, with further ones if more are played.
+        """Return the kinds of the agents, robots first: those in ``usual``, and more if there are more players.
 
         No agent is added to people who play alone or among themselves (partner ``solo``, or two people and no partner).
         """
@@ -64,26 +64,26 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
-    """Order of one game, from the front to a worker."""
+    """Order to play one game, which the front process sends to a worker."""
 
     index: int
-    """Number of the episode in the run of the plan's seed."""
+    """Number of the episode in the sequence that follows from the plan's seed."""
     name: str
-    """Path of the game's recording in the plan's folder, without the ending."""
+    """Path of the game's recording in the plan's folder, without its file name ending."""
     plan: int = 0
-    """Number of the game's plan among those that the worker was started with."""
+    """Index of the game's plan among the plans of the worker."""
     info: dict[str, Any] = {}
-    """Further entries of the recording (``info``)."""
+    """Additional entries of the recording's ``info``."""
     hitl: dict[str, Any] = {}
-    """Further entries of the recording in ``info["hitl"]``."""
+    """Additional entries of the recording's ``info["hitl"]``."""
     resumes: bool = False
-    """True if another process may have played a part of it, or all."""
+    """True if another process may already have played some or all of the game."""
     facts: dict[str, Any] | None = None
-    """Facts that were found when the episode was prepared (`EpisodeCodec.precompute`); None: it has not been prepared."""
+    """Facts computed when the episode was prepared (`EpisodeCodec.precompute`); None if it has not been prepared."""
 
 
 def prepared_key(order: GameOrder) -> str:
-    """Return the name of what has been prepared for an episode, whoever plays it."""
+    """Return the key of an episode's prepared data, which does not depend on its players."""
     return f"{order.plan}/{order.index}"
 
 

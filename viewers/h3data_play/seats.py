@@ -1,6 +1,6 @@
 """Seats of players, the tokens by which browsers own them, and a journal of both on the disk.
 
-With the journal, nobody loses their seat when the server is killed.
+With the journal, players keep their seats when the server is killed.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ create table if not exists games (key text primary key, place integer not null, 
 
 @dataclass(eq=False)
 class Seat:
-    """Place for one browser."""
+    """Seat of one browser at a table."""
 
     sid: str
     token: str
     """Digest of the browser's cookie."""
     place: int
-    """Number of the table."""
+    """Number of the table at which the seat is."""
     number: int
     """Index into `PlayPlan.seats`."""
     game: str
@@ -40,7 +40,7 @@ class Seat:
 
 @dataclass(eq=False)
 class Game:
-    """An episode that has begun."""
+    """Game at a table that has started."""
 
     key: str
     place: int
@@ -53,7 +53,7 @@ _BOOT = getattr(time, "CLOCK_BOOTTIME", None)
 
 
 def uptime() -> float:
-    """Return the time of a monotonic clock [s], which also runs while the machine sleeps, if the system has such a clock."""
+    """Return the time of a monotonic clock [s], which includes time in suspend if the system has such a clock."""
     return time.monotonic() if _BOOT is None else time.clock_gettime(_BOOT)
 
 
@@ -63,23 +63,26 @@ def new_token() -> str:
 
 
 def token_digest(token: str) -> str:
-    """Return the digest of a token that is stored; a reader of the journal cannot take a seat with it."""
+    """Return the digest of a token for the journal; a reader of the journal cannot take a seat with it."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 
 @dataclass
 class SeatLog:
-    """Seats and games of a folder, in memory and in its SQLite file. Memory holds nothing that is not on the disk."""
+    """Journal of the seats and games of a folder, in memory and in an SQLite file.
+
+    Every change is on the disk before it is in memory.
+    """
 
     folder: Path
     name: str = JOURNAL
-    """Name of the file."""
+    """Name of the journal's file."""
     read_only: bool = False
-    """True if changes are made to a copy in memory only: the file may belong to another process."""
+    """True if changes are made to a copy in memory only, because the file may belong to another process."""
     seats: dict[str, Seat] = field(default_factory=dict)
     games: dict[str, Game] = field(default_factory=dict)
     links: list[str] = field(default_factory=list)
-    """Key in the link of each of `PlayPlan.seats`."""
+    """Secret key in the link of each of `PlayPlan.seats`."""
 
     def __post_init__(self) -> None:
         # one process writes; a commit is with the operating system before a browser hears of it, so that it outlives this
@@ -98,7 +101,7 @@ class SeatLog:
         self.links = [key for _, key in self._db.execute("select number, key from links order by number")]
 
     def make_links(self, count: int) -> None:
-        """Make a secret for each of so many seats, unless the folder has them."""
+        """Create ``count`` secret keys for links, unless the folder already has them."""
         for number in range(len(self.links), count):
             link = secrets.token_urlsafe(9)
             self._db.execute("insert into links values (?, ?)", (number, link))
@@ -112,7 +115,7 @@ class SeatLog:
         return seat
 
     def hand_over(self, seat: Seat, token: str) -> Seat:
-        """Give the seat to another browser, which will hold ``token``; its new name shuts out the browser before."""
+        """Give the seat to another browser, which will hold ``token``; the previous browser loses access."""
         new = Seat(secrets.token_hex(8), token_digest(token), seat.place, seat.number, seat.game)
         self._db.execute("update seats set sid = ?, token = ? where sid = ?", (new.sid, new.token, seat.sid))
         del self.seats[seat.sid]
@@ -120,12 +123,12 @@ class SeatLog:
         return new
 
     def assign(self, seat: Seat, game: Game) -> None:
-        """Store which game a seat belongs to now."""
+        """Store the game to which a seat is now assigned."""
         self._db.execute("update seats set game = ? where sid = ?", (game.key, seat.sid))
         seat.game = game.key
 
     def begin(self, place: int) -> Game:
-        """Begin the next episode at a table."""
+        """Start the next episode at a table."""
         episode = len(self.games)
         game = Game(f"{episode:06d}", place, episode)
         self._db.execute("insert into games values (?, ?, ?, ?)", (game.key, place, episode, ""))
@@ -133,7 +136,7 @@ class SeatLog:
         return game
 
     def end(self, game: Game, why: str) -> None:
-        """Store that a game is over."""
+        """Store that a game has ended, and the reason."""
         self._db.execute("update games set over = ? where key = ?", (why, game.key))
         game.over = why
 
@@ -142,7 +145,7 @@ class SeatLog:
         return next((game for game in self.games.values() if game.place == place and not game.over), None)
 
     def owner(self, token: str, number: int) -> Seat | None:
-        """Return the seat with this number that a token owns."""
+        """Return the seat with this number whose owner has a token; None if there is none."""
         digest = token_digest(token)
         return next((s for s in self.seats.values() if s.token == digest and s.number == number), None)
 
@@ -151,7 +154,7 @@ class SeatLog:
         return next((s for s in self.seats.values() if (s.place, s.number) == (place, number)), None)
 
     def close(self, *, done: bool) -> None:
-        """Close the file; delete it where everything is ``done``."""
+        """Close the journal; delete it if everything is ``done``."""
         self._db.close()
         if done:
             (self.folder / self.name).unlink(missing_ok=True)

@@ -26,7 +26,7 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 CLOSE_S = 4.5
 """Time after SIGTERM within which recordings are finished [s]."""
 LAST_WORDS_S = 1.0
-"""Time for which players see that the game is over before the server closes [s]."""
+"""Time for which players see the end of the game before the server closes [s]."""
 
 
 class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,22 +38,22 @@ class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     workers: int = 1
     cert: str = ""
     key: str = ""
-    """Files of a TLS certificate and its key."""
+    """Files of a TLS certificate (``cert``) and of its private key (``key``); empty for no TLS."""
     behind_proxy: bool = False
-    """True if a proxy in front of the server does TLS, and states addresses of browsers."""
+    """True if a proxy in front of the server terminates TLS and forwards the addresses of browsers."""
     seats_per_address: int = SEATS_PER_ADDRESS
     allow_hosts: tuple[str, ...] = ()
-    """Names of this server beside loopback, ``host`` and those of the certificate."""
+    """Names of this server in addition to loopback, ``host`` and those of the certificate."""
     stays: bool = False
     """True if the server continues after the last episode."""
 
     def front(self, **given: Any) -> WebServer:
-        """Return the server of this session; `given` are the options that all servers have."""
+        """Return the server of this session; `given` has the options that all kinds of servers share."""
         raise NotImplementedError
 
 
 class PlayServeOptions(ServeOptions, frozen=True, kw_only=True):
-    """Options of a server of one session: the plan, and the number of simultaneous tables."""
+    """Options of the server of one session: its plan, and its number of simultaneous tables."""
 
     plan: PlayPlan
     tables: int = 1
@@ -64,10 +64,10 @@ class PlayServeOptions(ServeOptions, frozen=True, kw_only=True):
 
 
 def require_safe(options: ServeOptions) -> None:
-    """Check that a server that others can reach uses TLS or a proxy.
+    """Check that a server that is reachable from other machines uses TLS or a proxy.
 
     Raises:
-        Refused: others could listen on the network.
+        Refused: the traffic could be read on the network.
     """
     if options.host in LOOPBACK or (options.cert and options.key) or options.behind_proxy:
         return
@@ -82,7 +82,7 @@ def certificate_names(cert: str) -> list[str]:
     """Return the DNS names of the first certificate in a file (subjectAltName).
 
     Raises:
-        Refused: there is none.
+        Refused: the file has no certificate.
     """
     try:
         # what the ssl module shows of a certificate that it has not verified; it has no public name
@@ -93,7 +93,7 @@ def certificate_names(cert: str) -> list[str]:
 
 
 async def serve(options: ServeOptions, report: Any) -> int:
-    """Serve until all episodes are over or a signal comes; return the exit code."""
+    """Serve until all episodes have ended or a signal arrives; return the exit code."""
     require_safe(options)
     names = certificate_names(options.cert) if options.cert else []
     stops = asyncio.Event()
@@ -161,7 +161,7 @@ async def _listen(front: WebServer, runner: web.AppRunner, options: ServeOptions
 
 
 def main(kind: type[ServeOptions]) -> int:
-    """Serve with the options of this kind on stdin; return the exit code."""
+    """Read options of type ``kind`` from stdin and serve with them; return the exit code."""
 
     def report(message: dict[str, Any]) -> None:
         with contextlib.suppress(OSError):

@@ -1,6 +1,7 @@
 """Binary message with one step of the world, as clients receive it.
 
-It is little-endian, laid out by the manifest, and has 256 bytes for a robot, a person and two objects.
+The message is little-endian and its layout follows from the manifest. It has 256 bytes for a robot, a person and two
+objects.
 
 ```
  0 u8 kind = 1 | 1 u8 flags | 2 u8 agents | 3 u8 objects in this state
@@ -11,7 +12,7 @@ object:  u16 index; i16 agent that holds it, -1 none; f32 pose7
 joint:   u16 index; f32 position of a door or drawer [rad or m]; up to the end of the message
 ```
 
-`web/src/link/wire.ts` reads it; tests/play/golden_states.json is read by the tests of both.
+`web/src/link/wire.ts` reads the message. The tests of both read tests/play/golden_states.json.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ from h3data.scene.floor_heights import LEVEL
 
 STATE, PONG = 1, 2
 TOUCH, WALL, ENDED, BUSY = 1, 2, 4, 8
-"""Flags: agents touch; a robot touches the home; the episode is over; the player's agent is moved by a skill or a walk that
-the server leads."""
+"""Flags of a state: agents touch; a robot touches the home; the episode has ended; the player's agent is moved by a
+skill or a guided walk."""
 SITS, LIES, SEATED, GESTURES = 16, 32, 64, 128
-"""Flags of postures: a seat is near and free; so is a bed or sofa on which the player's person can lie; they sit, or lie; their
-hands are empty, so that they can wave and look at a phone."""
+"""Flags of postures: a free seat is near; a free bed or sofa is near, on which the person can lie; the person sits or
+lies; the person's hands are empty, so that they can wave and look at a phone."""
 BODY_JOINTS = 21
-"""Number of joints that move, SMPL-X joints 1 to 21; fingers, jaw and eyes keep the pose of the GLB."""
+"""Number of joints that move: SMPL-X joints 1 to 21. Fingers, jaw and eyes keep the pose of the GLB."""
 JOINT_UNIT = 2e-4
 """Unit of a robot's joint positions [rad or m]."""
 _HEAD = struct.Struct("<BBBBIif")
@@ -54,7 +55,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def pack_rotations(quats: NDArray[np.floating]) -> bytes:
-    """Pack rotations xyzw [N, 4] in 32 bits each: index of the largest component, the others in 10 bits (0.21 degrees)."""
+    """Pack quaternions xyzw [N, 4] in 32 bits each, with 10 bits per component (0.21 degrees)."""
     largest = np.abs(quats).argmax(1)
     rows = np.arange(len(quats))
     sign = np.where(quats[rows, largest] < 0, -1.0, 1.0)
@@ -65,12 +66,12 @@ def pack_rotations(quats: NDArray[np.floating]) -> bytes:
 
 
 def pack_head(flags: int, agents: int, objects: int, step: int, ack: int, clock_ms: float) -> bytes:
-    """Pack the part of a state that differs between players."""
+    """Pack the part of a state message that differs between players."""
     return _HEAD.pack(STATE, flags, agents, objects, step, ack, clock_ms)
 
 
 def pack_pong(client_ms: float, server_ms: float) -> bytes:
-    """Pack the answer to a ping."""
+    """Pack the answer to a ping, with the clocks of client and server [ms]."""
     return struct.pack("<B7xdd", PONG, client_ms, server_ms)
 
 
@@ -81,16 +82,16 @@ class PackedStep:
     agents: int
     agent_bytes: bytes
     moved: NDArray[Any]
-    """Objects with a changed pose or holder."""
+    """Indices of objects with a changed pose or holder."""
     objects: NDArray[Any]
     """Poses of all objects."""
     turned: NDArray[Any]
-    """Doors and drawers with a changed position."""
+    """Indices of doors and drawers with a changed position."""
     joints: NDArray[Any]
-    """Positions of all joints."""
+    """Positions of all doors and drawers [rad or m]."""
 
     def state(self, flags: int, step: int, ack: int, clock_ms: float, *, whole: bool) -> bytes:
-        """Return the state for one player, with all objects and joints where it is ``whole``."""
+        """Return the state for one player, with only the changed objects and joints unless it is ``whole``."""
         listed, joints = (self.objects, self.joints) if whole else (self.moved, self.turned)
         head = pack_head(flags, self.agents, len(listed), step, ack, clock_ms)
         return head + self.agent_bytes + listed.tobytes() + joints.tobytes()
@@ -98,13 +99,13 @@ class PackedStep:
 
 @dataclass
 class StatePacker:
-    """Packer of the recorded columns, one step after the other."""
+    """Packer of recorded columns, which packs one step after the other."""
 
     header: RecordingHeader
     bodies: tuple[Robot | Humanoid, ...]
     """Bodies of the agents."""
     heights: Array = field(default_factory=LEVEL.copy)
-    """Height of the floor at a place (`h3data.scene.floor_heights`): feet stand on the treads of its stairs."""
+    """Heights of the floor (`h3data.scene.floor_heights`), so that feet stand on the treads of stairs."""
     _walks: dict[int, PlantedWalk] = field(default_factory=dict)
     _objects: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _OBJECT))
     _joints: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _JOINT))

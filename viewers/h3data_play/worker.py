@@ -52,29 +52,29 @@ from h3data_play.messages import (
 from h3data_play.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_BEHIND = 3
-"""Largest number of steps that a late game catches up at once; beyond that its clock slips, which the recording
-states."""
+"""Largest number of steps that a late game catches up at once; a later game skips steps, which the recording states."""
 MOST_WAITING = 200
 """Largest number of messages of one game that wait for their step."""
 FARTHEST_STEPS = 15
-"""Largest number of steps that a message waits for its step; one that is meant for a later step acts then."""
+"""Largest number of steps by which a message can be ahead; one that is meant for a later step takes effect then."""
 WHOLE_EVERY = 30
-"""Number of steps between states with all objects; those between contain only objects that have moved."""
+"""Number of steps between states with all objects; other states contain only objects that have moved."""
 PLAN_STEPS = 6
-"""Number of steps between two searches for a path to a thing, as one may take 50 ms of the worker that all players share."""
+"""Number of steps between two searches for a path to an object; each may take 50 ms of the worker that all players
+share."""
 BEGIN_S = 2.0
-"""Time after which a game begins even if some players are late [s]."""
+"""Time after which a game starts even if some players are late [s]."""
 MOST_AHEAD = 12
-"""Number of episodes whose homes are made before somebody plays in them."""
+"""Number of episodes whose homes are built in advance."""
 REPORT_S = 1.0
 LEFT_S = 60.0
-"""Time for which a game stands still before it counts as left, longer than pages take to load [s]."""
+"""Time without connected players after which a game counts as left [s]; it is longer than a page takes to load."""
 MEASURED_STEPS = 60
 DISK_S = 1.0
-"""Seconds between attempts to write data that a full disk did not take."""
+"""Time between attempts to write data that a full disk did not accept [s]."""
 DISK_FULL = "The disk of the server is full. The home stands still until there is space again; nothing is lost."
 ANSWER_S = 120.0
-"""Time for which players may think about the question at the end of an episode [s]."""
+"""Time limit for players' answers to the question at the end of an episode [s]."""
 HUD_S = 10.0
 """Time between two messages about the remaining time [s]."""
 
@@ -83,42 +83,42 @@ log = logging.getLogger("h3data.hitl.worker")
 
 @dataclass
 class Running:
-    """A game and its clock."""
+    """Running game of a worker with its clock."""
 
     key: str
     game: LiveGame
     began: float = field(default_factory=time.monotonic)
     due: float = 0.0
     stepped: float = field(default_factory=time.monotonic)
-    """Time of the latest step, or of the beginning of the game."""
+    """Monotonic time of the latest step, or of the start of the game [s]."""
     here: set[int] = field(default_factory=set)
     """Numbers of agents whose players are connected; -1: spectators."""
     waiting: deque[tuple[int, int, Act, str, float]] = field(default_factory=deque)
-    """Messages that wait for their step: agent, step, message, text, time of arrival."""
+    """Messages that wait for their step, as agent, step, message, text and time of arrival."""
     whole: bool = True
     over: bool = False
     seconds: float = 0.0
     """CPU time of the game's steps [s]."""
     latest_s: deque[float] = field(default_factory=lambda: deque(maxlen=MEASURED_STEPS))
-    """CPU time of the latest steps, with packing and sending."""
+    """CPU times of the latest steps, including packing and sending [s]."""
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
     seen: dict[int, Any] = field(default_factory=dict)
-    """Thing that each player last had to open first."""
+    """Doors and drawers that each player last had to open first, by agent."""
     floors: dict[int, Any] = field(default_factory=dict)
-    """Floor last sent to each player, if it has ever changed; None: the page may have any."""
+    """Floor that was last sent to each player; None if the page's floor is unknown, and no entry if it never changed."""
     is_stuck: bool = False
     """True if the game waits for space on the disk, and the front has been informed."""
     recording: Recording | None = None
     """Recording of the game once it is over; its end may still have to be written."""
     planned: dict[int, int] = field(default_factory=dict)
-    """Step of each player's last request to be guided to a thing."""
+    """Step at which each player last asked to be guided to an object, by agent."""
     heard: dict[int, int] = field(default_factory=dict)
-    """Number of agents' messages that have been sent to each player."""
+    """Number of agents' messages that have been sent to each player, by agent."""
     left: int = -1
-    """Agent of the player who has ended the game by leaving it; -1: nobody has."""
+    """Number of the agent whose player ended the game by leaving it; -1 if no player did."""
     asked: dict[int, float] = field(default_factory=dict)
-    """Players who have not answered the question at the end yet, with the time at which it was asked."""
+    """Times at which the final question was asked, by the players who have not answered it yet."""
 
     @property
     def clock_ms(self) -> float:
@@ -133,12 +133,12 @@ class Running:
 
     @property
     def is_left(self) -> bool:
-        """Return whether the game has stood still for `LEFT_S`, because its players have closed their pages."""
+        """Return whether the game has stood still for `LEFT_S` because its players have closed their pages."""
         return not self.runs and time.monotonic() - self.stepped > LEFT_S
 
 
 class Worker:
-    """Games of one process. An error in one ends only that one."""
+    """Worker process that plays games; an error in one game ends only that game."""
 
     def __init__(self, channel: Channel, plans: Sequence[PlayPlan]) -> None:
         self.channel = channel
@@ -156,13 +156,16 @@ class Worker:
         self._tried = time.monotonic()
 
     def table(self, number: int) -> EpisodeFactory:
-        """Return the table of plan ``number``."""
+        """Return the episode factory of plan ``number``."""
         if number not in self.tables:
             self.tables[number] = EpisodeFactory(self.plans[number])
         return self.tables[number]
 
     def made(self, plan: int, index: int) -> dict[str, Any]:
-        """Return the manifest, GLB and distance grid of an episode, compressed, and what its end will need; made once."""
+        """Return the manifest, GLB and distance grid of an episode, compressed, and the data that its end needs.
+
+        The result is cached.
+        """
         if (plan, index) not in self._prepared:
             table = self.table(plan)
             game = LiveGame(table, index)
@@ -198,7 +201,7 @@ class Worker:
 
     # --- the loop -----------------------------------------------------------------------------------------------------
     def run(self) -> None:
-        """Serve until the process is asked to stop or the front is gone."""
+        """Serve until the process is asked to stop or the front process has gone."""
         while not self.stops:
             now = time.monotonic()
             due = min((r.due for r in self.games.values() if r.runs), default=now + 0.5)
@@ -220,7 +223,7 @@ class Worker:
             self.report()
 
     def try_disk(self) -> None:
-        """Let games that wait for space on the disk continue, end or begin, if there is some."""
+        """Continue, end or start games that wait for space on the disk, if there is some."""
         now = time.monotonic()
         if now - self._tried < DISK_S:
             return
@@ -231,9 +234,9 @@ class Worker:
         self._waiting += [(key, body, now) for key, body in self._no_room.items() if key not in waiting]
 
     def begin_next(self) -> None:
-        """Begin the game that has waited longest, if no other game is late.
+        """Start the game that has waited longest, if no other game is late.
 
-        Beginning takes as long as three steps, and several at once would stop the games that are running.
+        A start takes as long as three steps, and several at once would stop the running games.
         """
         now = time.monotonic()
         key, body, since = self._waiting[0]
@@ -242,9 +245,9 @@ class Worker:
             self.guarded(key, Worker.begin, body)
 
     def homes_ahead(self) -> Iterator[None]:
-        """Make the homes of each plan's first episodes, one at a time.
+        """Build the homes of each plan's first episodes, one per iteration.
 
-        Each takes half a second, which is available while nobody plays.
+        Each takes half a second, which is available while no game is running.
         """
         for number, plan in enumerate(self.plans):
             source = self.table(number).source
@@ -287,8 +290,8 @@ class Worker:
     def report(self) -> None:
         """Report once a second which share of a core the games use.
 
-        It is CPU time, with the median step of each game: neither other programs on the machine nor a single planning
-        step should turn players away. Games that everybody has left do not count: nobody may come back to them.
+        The share is CPU time with the median step of each game, so that neither other programs nor a single planning
+        step turn players away. Games that all players have left do not count.
         """
         now = time.monotonic()
         if now - self._reported < REPORT_S:
@@ -300,7 +303,7 @@ class Worker:
         self._reported = now
 
     def close_all(self, *, finish: bool) -> None:
-        """Finish all recordings, or leave them as logs that a later process continues."""
+        """Finish all recordings, or leave them as logs that a later process can continue."""
         closed = []
         for running in self.games.values():
             try:
@@ -323,11 +326,11 @@ class Worker:
 
     # --- letters of the front -----------------------------------------------------------------------------------------
     def prepare(self, key: str, body: dict[str, Any]) -> None:
-        """Send what pages need to show an episode."""
+        """Send the files that pages need to show an episode."""
         self.channel.send("prepared", key, self.made(int(body["plan"]), int(body["index"])))
 
     def begin(self, key: str, body: dict[str, Any]) -> None:
-        """Begin a game, continue one, or report the end of one that had ended when the server was killed."""
+        """Start or continue a game, or report the end of a game that had ended when the server was killed."""
         order = msgspec.convert(body, GameOrder)
         if order.facts is None and key not in self._no_room:
             self.prepare(prepared_key(order), {"plan": order.plan, "index": order.index})
@@ -361,7 +364,7 @@ class Worker:
             self._tell_pause(running)
 
     def go_on(self, key: str, body: Any) -> None:
-        """Try again whether the disk takes the rest of a game."""
+        """Try again to write the rest of a game to the disk."""
         del body
         running = self.games[key]
         running.game.retry()
@@ -376,7 +379,7 @@ class Worker:
         self._tell_pause(running, goes_on=True)
 
     def here(self, key: str, body: dict[str, Any]) -> None:
-        """Handle a player who has connected or left. The world stands still until all players are connected."""
+        """Handle a player who has connected or left; the world stands still until all players are connected."""
         running = self.games.get(key)
         if running is None or running.over:
             return
@@ -400,7 +403,7 @@ class Worker:
             self.channel.send("told", key, [number, {"question": running.game.app.question}])
 
     def input(self, key: str, body: list[Any]) -> None:
-        """Take a message of a player, which waits for its step."""
+        """Queue a message of a player until its step."""
         running = self.games.get(key)
         number, text, arrived = body
         if running is None or running.over or (len(running.waiting) >= MOST_WAITING and not running.is_stuck):
@@ -429,7 +432,7 @@ class Worker:
         running.waiting.append((number, step, message, text, arrived))
 
     def can(self, key: str, body: list[Any]) -> None:
-        """Preview an action: nothing happens and nothing is recorded."""
+        """Answer whether an action is possible; nothing happens and nothing is recorded."""
         running = self.games.get(key)
         number, point = body
         if running is None or running.over or number not in running.game.drivers:
@@ -441,7 +444,7 @@ class Worker:
         self.channel.send("told", key, [number, {"can": {"p": point, **reply}}])
 
     def pack(self, key: str, body: dict[str, str]) -> None:
-        """Send a finished recording to the front to be packed, which takes a tenth of a second in a process without games."""
+        """Send a finished recording to the front process, where packing it does not delay games."""
         del key
         if Path(body["path"]).is_file():  # else it has been deleted meanwhile
             pack_mcap(Path(body["path"]), share_in=body["share_in"])
@@ -566,7 +569,7 @@ class Worker:
                 self.guarded(running.key, lambda worker, _key, _body, running=running: worker.finish(running), None)
 
     def finish(self, running: Running) -> None:
-        """Close the recording and tell the players, as soon as the disk has it."""
+        """Close the recording and inform the players, as soon as the disk accepts the data."""
         running.over = True
         running.recording = running.game.close()
         if running.game.fault:
@@ -605,9 +608,9 @@ _HANDLERS = {
 
 
 def rehearse(table: EpisodeFactory) -> None:
-    """Play an episode that nobody sees, to compile and load all kernels.
+    """Play an episode without players, to compile and load all kernels.
 
-    Kernels that are loaded only when somebody first walks, takes something or gives way would stop a live world for a
+    Kernels that are loaded only when a player first walks, takes an object or gives way would stop a live world for a
     second each.
     """
     game = LiveGame(table, 0)
@@ -639,7 +642,7 @@ def rehearse(table: EpisodeFactory) -> None:
 
 
 def main(descriptor: int) -> None:
-    """Talk to the front over an inherited socket until either ends."""
+    """Serve the front process over an inherited socket until either process ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes; the front decides
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     channel = Channel(socket.socket(fileno=descriptor))

@@ -1,4 +1,4 @@
-"""Worker processes of the front: started, supplied, and replaced when they die."""
+"""Worker processes of the front process, which starts, supplies and replaces them."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ from h3data_play.channel import encode, receive
 from h3data_play.plan import GameOrder, PlayPlan, prepared_key
 
 MOST_UNSENT = 1 << 20
-"""Number of unread bytes of a worker above which messages of players are dropped: the worker is stuck, and the front
-must not be."""
+"""Number of unread bytes above which messages of players to a worker are dropped, so that a stuck worker cannot block
+the front process."""
 EXPECTED_SHARE = 0.06
-"""Share of a core that a game is expected to take before one has been measured."""
+"""Share of a core that a game is expected to need before one has been measured."""
 MOST_FILES, MOST_EPISODES = 160, 512
-"""Largest numbers of files and of prepared episodes that the front keeps."""
+"""Largest number of files and largest number of prepared episodes in the cache of the front process."""
 PREPARE_S = 60.0
-"""Time after which the worker that plays prepares an episode itself [s]."""
+"""Time after which an episode is prepared by the worker that plays it [s]."""
 READY_S = 600.0
-"""Time within which a worker gets ready [s]: it may compile kernels for minutes, once per machine."""
+"""Time limit for the start of a worker [s], which may compile kernels for minutes once per machine."""
 
 Heard = Callable[["WorkerProcess", str, str, Any], None]
 
 
 class Refused(Exception):
-    """Error about a plan that cannot be played; the text says why.
+    """Error about a plan that cannot be played, with the reason as its text.
 
-    It is no `H3DataError`, because the front imports nothing of h3data; the command raises one with the same text and code.
+    It is not an `H3DataError`, because the front process imports nothing of h3data; the command raises an `H3DataError`
+    with the same text and code.
     """
 
     def __init__(self, text: str, *, code: str = "") -> None:
@@ -43,7 +44,7 @@ class Refused(Exception):
 
 
 class WorkerProcess:
-    """Process of a worker, and the games that it plays."""
+    """Process of a worker, with the games that it plays."""
 
     def __init__(self, plans: Sequence[PlayPlan], heard: Heard, lost: Callable[[WorkerProcess], None]) -> None:
         self._plans, self._heard, self._lost = plans, heard, lost
@@ -67,7 +68,7 @@ class WorkerProcess:
         """Wait until the process has compiled and loaded everything.
 
         Raises:
-            Refused: it cannot play the plan, or ended.
+            Refused: the worker cannot play the plan, or its process has ended.
         """
         reader, self._writer = await asyncio.open_connection(sock=self._socket)
         self._reading = asyncio.create_task(self._read(reader))
@@ -93,13 +94,13 @@ class WorkerProcess:
         self._lost(self)
 
     def send(self, kind: str, key: str, body: Any) -> None:
-        """Send a letter; do nothing if the process is gone."""
+        """Send a message to the worker; do nothing if its process has ended."""
         if self._writer is not None and not self._writer.is_closing():
             self._writer.write(encode(kind, key, body))
 
     @property
     def with_one_more(self) -> float:
-        """Share of a core that its games would take with a further one; new games count as average ones."""
+        """Share of a core that the worker would need with one more game; new games count as average ones."""
         each = self.busy / self.measured if self.measured else EXPECTED_SHARE
         return self.busy + each * (max(len(self.games) - self.measured - self.left, 0) + 1)
 
@@ -109,7 +110,7 @@ class WorkerProcess:
         return self._writer is not None and self._writer.transport.get_write_buffer_size() > MOST_UNSENT
 
     async def stop(self, seconds: float, *, finish: bool = True) -> None:
-        """Let it finish its recordings, or leave them as logs for a later server; wait until it has ended."""
+        """Stop the worker, which finishes its recordings or leaves them as logs, and wait until it has ended."""
         self.send("stop", "", {"finish": finish})
         try:
             await asyncio.wait_for(asyncio.to_thread(self.process.wait), seconds)
@@ -124,7 +125,7 @@ class WorkerProcess:
 
 
 class Workers:
-    """Worker processes, with a warm spare one that takes over when one dies."""
+    """Pool of worker processes, with a spare one that takes over when a worker dies."""
 
     def __init__(
         self, plans: Sequence[PlayPlan], count: int, heard: Heard, lost: Callable[[WorkerProcess], None]
@@ -135,7 +136,7 @@ class Workers:
         self._stops = False
 
     async def start(self) -> None:
-        """Start all workers; the spare one gets ready later.
+        """Start all workers; the spare one becomes ready later.
 
         Raises:
             Refused: the plan cannot be played.
@@ -155,14 +156,14 @@ class Workers:
         return min(self.active, key=lambda worker: (round(worker.with_one_more, 1), len(worker.games)))
 
     def ready_spare(self) -> WorkerProcess | None:
-        """Return the warm spare, if there is one."""
+        """Return the spare worker if it is ready; else None."""
         spare = self.spare
         if spare is None or not spare.done() or spare.cancelled() or spare.exception() is not None:
             return None
         return spare.result()
 
     async def warm_spare(self) -> WorkerProcess | None:
-        """Return the spare worker as soon as it is warm; None if there is none."""
+        """Wait until the spare worker is ready and return it; None if there is none."""
         if self.spare is not None:
             await asyncio.wait([self.spare])
         return self.ready_spare()
@@ -173,7 +174,7 @@ class Workers:
             self._on_lost(worker)
 
     async def replacement(self) -> WorkerProcess:
-        """Return the warm spare, or the next process that gets ready; another spare is started."""
+        """Return the spare worker, or else the next process that becomes ready, and start another spare."""
         spare = self.spare or asyncio.create_task(self._started())
         worker = await spare
         self.spare = asyncio.create_task(self._started())
@@ -181,7 +182,7 @@ class Workers:
         return worker
 
     async def stop(self, seconds: float, *, finish: bool = True) -> None:
-        """Finish all recordings, or leave them as logs."""
+        """Stop all workers, which finish their recordings or leave them as logs."""
         self._stops = True
         if self.spare is not None:
             if self.spare.done() and not self.spare.cancelled() and self.spare.exception() is None:
@@ -191,10 +192,10 @@ class Workers:
 
 
 class Preparer:
-    """Parts of episodes that pages need, made by the spare worker before the episodes begin.
+    """Preparation of the parts of episodes that pages need, by the spare worker before the episodes start.
 
-    Files of a home and precomputed facts take a second, during which all games of the worker that plays would stand
-    still. A game that begins next to others waits until the spare worker is warm.
+    The files of a home and its precomputed facts take a second, during which the games of a playing worker would stand
+    still. A game that starts next to others waits until the spare worker is ready.
     """
 
     def __init__(self, workers: Workers) -> None:
@@ -205,7 +206,7 @@ class Preparer:
         self._asked: dict[str, tuple[WorkerProcess, asyncio.Future[None]]] = {}
 
     def heard(self, key: str, body: dict[str, Any]) -> None:
-        """Store what a worker has made."""
+        """Store prepared data that a worker has sent."""
         for what, kind in (("glb", "model/gltf-binary"), ("grid", "application/octet-stream")):
             name, data = body[what]
             self.files.pop(name, None)
@@ -222,12 +223,12 @@ class Preparer:
             asked[1].set_result(None)
 
     def made(self, order: GameOrder) -> dict[str, Any] | None:
-        """Return the prepared files of an episode, if they are still there."""
+        """Return the prepared files of an episode if they are still in the cache."""
         found = self._made.get(prepared_key(order))
         return found if found is not None and all(name in self.files for name in found["names"]) else None
 
     def ask(self, order: GameOrder) -> asyncio.Future[None] | None:
-        """Have an episode prepared. Return None if no worker can do that, or if there is nothing to do."""
+        """Request the preparation of an episode; return None if no worker can do it, or if it is not needed."""
         key, spare = prepared_key(order), self._workers.ready_spare()
         if spare is None or self.made(order) is not None:
             return None

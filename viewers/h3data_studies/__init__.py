@@ -1,6 +1,6 @@
-"""Studies: people who take part in a browser, from consent to completion code.
+"""Studies in which people take part in a browser, from consent to completion code.
 
-`design` holds what a study file says, `flow` the order of what a participant does, `store` who has done what (SQLite), `front`
-the server. None of these imports NumPy or the simulator; `files` (reading and checking a study file, planning who plays what)
-does, and runs in the command that starts the server.
+`design` has the contents of a study file, `flow` the order of a participant's stages, `store` the progress of
+participants (SQLite), and `front` the server. None of these imports NumPy or the simulator. `files` reads and checks a
+study file and plans the episodes of participants; it imports them and runs in the command that starts the server.
 """

@@ -1,4 +1,4 @@
-"""Answers to questionnaires: means of each form by condition, and all answers as a table."""
+"""Answers to questionnaires: means of each form by condition, and tables of all answers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Answers = dict[str, float | str]
 
 @dataclass(frozen=True)
 class FormMean:
-    """Mean of a form over the participants who filled it in after a condition."""
+    """Mean of a questionnaire over the participants who filled it in after a condition."""
 
     form: str
     condition: str
@@ -32,7 +32,7 @@ class FormMean:
 
 @dataclass(frozen=True)
 class FormDifference:
-    """Paired difference of a form between two conditions."""
+    """Paired difference of a questionnaire's means between two conditions."""
 
     form: str
     first: str
@@ -46,13 +46,13 @@ class FormDifference:
 
 
 def filled(person: Participant) -> Iterator[tuple[Form, str, Answers]]:
-    """Yield a participant's forms with their condition (empty: of none) and answers."""
+    """Yield a participant's forms with their condition (empty for forms about no condition) and answers."""
     for _, form, condition, answers in filled_stages(person):
         yield form, condition, answers
 
 
 def filled_stages(person: Participant) -> Iterator[tuple[Stage, Form, str, Answers]]:
-    """Yield forms that were filled in, with the stage in which each was asked."""
+    """Yield forms that a participant has filled in, with the stage of each."""
     progress = person.progress
     for stage in progress.stages:
         if stage.kind == "form" and stage.key in progress.rows:
@@ -61,7 +61,7 @@ def filled_stages(person: Participant) -> Iterator[tuple[Stage, Form, str, Answe
 
 
 def form_means(design: Design, people: Sequence[Participant]) -> tuple[list[FormMean], list[FormDifference]]:
-    """Return the means of all forms with scales by condition, and the paired differences of conditions."""
+    """Return the means by condition of all forms with scales, and the paired differences between conditions."""
     given: dict[str, dict[str, dict[str, list[float]]]] = {}
     for person in people:
         for form, condition, answers in filled(person):
@@ -96,7 +96,10 @@ def form_means(design: Design, people: Sequence[Participant]) -> tuple[list[Form
 
 
 def answer_rows(people: Sequence[Participant], *, free_text: bool) -> list[list[str]]:
-    """Return all answers, a row each, with a header; free text, which may identify people, only with ``free_text``."""
+    """Return a header and one row per answer.
+
+    Free text, which may identify people, is included only with ``free_text``.
+    """
     rows = [["participant", "condition", "form", "item", "kind", "block", "trial", "right", "after", "answer"]]
     for person in people:
         for stage, form, condition, answers in filled_stages(person):
@@ -121,7 +124,7 @@ def answer_rows(people: Sequence[Participant], *, free_text: bool) -> list[list[
 
 
 def check_rows(people: Sequence[Participant]) -> list[list[str]]:
-    """Return every answer to a check, also those before a retry, a row each, with a header."""
+    """Return a header and one row per answer to a check, including answers before a retry."""
     rows = [["participant", "stage", "form", "attempt", "item", "answer", "right"]]
     for person in people:
         progress = person.progress

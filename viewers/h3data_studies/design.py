@@ -1,4 +1,4 @@
-"""Records of a study file, which the command and the server share."""
+"""Record types of a study file, which the command and the server share."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from h3data_play.plan import PlayPlan
 
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
 Text = str | dict[str, str]
-"""Words for participants: the same in all languages, or by language."""
+"""Text for participants: one for all languages, or one by language."""
 Minutes = Annotated[float, Meta(gt=0, le=10_000)]
 Count = Annotated[int, Meta(ge=1, le=1000)]
 Role = Literal["person", "robot"]
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of records whose misspelled fields in a file are errors."""
+    """Base of the record types; unknown fields in a file are errors."""
 
 
 class Condition(Record, frozen=True):
-    """Condition of one block of episodes."""
+    """Condition of a study, under which a block of episodes is played."""
 
     name: Name
     app: str = "rearrange"
     play_as: Role | Annotated[list[Role], Meta(min_length=1, max_length=2)] = "person"
-    """Role of a participant; a list of two: two participants play together, in one home."""
+    """Role of a participant, or a list of two roles if two participants play together in one home."""
     partner: str | None = None
-    """Policy of all agents that nobody plays, ``weights:FILE``, or ``solo``; None: the task's default."""
+    """Policy of all agents without a player (a name, ``weights:FILE``, or ``solo``); None selects the task's default."""
     rules: dict[str, Any] = {}
-    """Rules of the task that differ from the app's."""
+    """Rules of the task that replace those of the app."""
     text: Text = ""
     """Text that participants read before the first episode. It should not reveal the condition."""
 
     @property
     def is_solo(self) -> bool:
-        """Return whether people are alone, or among themselves."""
+        """Return whether people play alone, or among themselves."""
         return self.partner == "solo" or (self.partner is None and self.seats.count("person") > 1)
 
     @property
@@ -53,12 +53,12 @@ class Condition(Record, frozen=True):
 
 
 class Consent(Record, frozen=True):
-    """Text and questions to which participants consent."""
+    """Text and questions to which participants consent before taking part."""
 
     version: Name
     text: Text = ""
     file: str = ""
-    """A text file beside the study file, in place of ``text``."""
+    """Name of a text file next to the study file, which is used in place of ``text``."""
 
 
 class Device(Record, frozen=True):
@@ -69,7 +69,7 @@ class Device(Record, frozen=True):
     min_width: Annotated[int, Meta(ge=0)] = 640
     """Least width of the window [px]."""
     min_fps: Annotated[float, Meta(ge=0)] = 15.0
-    """Least number of pictures per second of a blank scene."""
+    """Least frame rate of a blank scene [1/s]."""
     touch: bool = True
     """True if phones and tablets may take part."""
 
@@ -86,48 +86,48 @@ class Tutorial(Record, frozen=True):
 
 
 class DropOut(Record, frozen=True):
-    """Rule by which a participant counts as gone and their place is given to another."""
+    """Rule by which a participant counts as gone, so that their place becomes free for another person."""
 
     idle_minutes: Minutes = 20.0
     """Time without a key, click or answer after which a participant has dropped out [minutes]; pauses count."""
     total_minutes: Minutes = 240.0
-    """Time limit from consent to the end [min]."""
+    """Time limit from consent to the end [minutes]."""
     wait_minutes: Minutes = 20.0
-    """Time for which a participant waits for their partner of a pair [min]."""
+    """Time for which a participant waits for the partner of their pair [minutes]."""
     max_slip: Annotated[float, Meta(ge=0, le=1)] = 0.01
-    """Largest share of late steps of an episode in the report; episodes with more are left out."""
+    """Largest share of late steps in an episode; the report excludes episodes with more."""
 
 
 class Recruiting(Record, frozen=True):
     """Recruiting of participants, and the code that they return to the platform."""
 
     require_id: bool = False
-    """True if only people whose link has ``PROLIFIC_PID`` may take part."""
+    """True if only people whose link has a ``PROLIFIC_PID`` may take part."""
     id_pattern: str | dict[str, str] | None = None
-    """Regular expression of a whole ``PROLIFIC_PID``, or of each id by its name; None: 24 hexadecimal digits."""
+    """Regular expression for a whole ``PROLIFIC_PID``, or one for each id by its name; None: 24 hexadecimal digits."""
     completion_code: str = ""
     completion_url: str = ""
-    """Address that is opened at the end; ``{code}`` stands for the code."""
+    """Address that is opened at the end of the participation; ``{code}`` stands for the completion code."""
     screen_out_code: str = ""
     screen_out_url: str = ""
     unique_codes: bool = False
-    """True if everybody who finishes gets a completion code of their own (``h3data study pay`` lists them)."""
+    """True if each participant who finishes gets a personal completion code (``h3data study pay`` lists them)."""
 
 
 class Exclude(Record, frozen=True):
-    """Rule, fixed before the study begins, by which the report leaves out participants or episodes."""
+    """Exclusion rule for participants or episodes in the report, which is fixed before the study starts."""
 
     name: Name
     what: str
-    """Name of a measure (`h3data_studies.exclusions`)."""
+    """Name of the measure that the rule tests (`h3data_studies.exclusions`)."""
     of: Literal["participant", "trial"] = "participant"
     above: float | None = None
     below: float | None = None
-    """Limits of the measure: participants or episodes above the one or below the other are excluded."""
+    """Limits of the measure: participants or episodes above ``above`` or below ``below`` are excluded; None for no limit."""
 
 
 class Bonus(Record, frozen=True):
-    """Payment for participants who finish, beyond the fixed reward."""
+    """Payment in addition to the fixed reward, for participants who finish."""
 
     base: Annotated[float, Meta(ge=0)] = 0.0
     per_success: Annotated[float, Meta(ge=0)] = 0.0
@@ -136,7 +136,7 @@ class Bonus(Record, frozen=True):
 
 
 class Item(Record, frozen=True):
-    """A question of a form."""
+    """Question of a form, with its kind of answer."""
 
     id: Name
     text: Text
@@ -151,44 +151,45 @@ class Item(Record, frozen=True):
     """Options of a choice; the answer is the number of an option, from 0."""
     required: bool = True
     reversed: bool = False
-    """True if a high answer counts as a low one in the mean of the form."""
+    """True if the scale is reversed when the mean of the form is computed."""
     right: float | list[float] | None = None
-    """Right answer, or answers (of a choice: the number of the option, from 0): the item is a check, and does not count
-    in the mean of the form. Pages do not contain it."""
+    """Right answer or answers (for a choice, the index of the option). An item with a right answer is a check, and does
+    not count in the mean of the form. It is not sent to pages."""
 
     @property
     def right_answers(self) -> list[float] | None:
-        """All right answers; None: the item is not a check."""
+        """Right answers of the item; None if it is not a check."""
         return [self.right] if isinstance(self.right, int | float) else self.right
 
     def is_right(self, answer: float | str | None) -> bool:
-        """Return whether an answer passes; every answer does if the item is not a check."""
+        """Return whether an answer passes the check; every answer does if the item is not a check."""
         return self.right_answers is None or answer in self.right_answers
 
 
 class Form(Record, frozen=True):
-    """Questions on one page."""
+    """Form with questions that participants answer on one page."""
 
     id: Annotated[str, Meta(pattern=r"^([A-Za-z0-9][A-Za-z0-9_.-]{0,39})?$")] = ""
     builtin: str = ""
-    """Built-in questionnaire instead of items of one's own: ``nasa_tlx``, ``fluency`` or ``trust``."""
+    """Name of a built-in questionnaire that supplies the items: ``nasa_tlx``, ``fluency`` or ``trust``."""
     after: Literal["consent", "tutorial", "trial", "condition", "end"] = "condition"
-    """Place of the form in the study; ``trial``: after each episode."""
+    """Stage of the study after which the form is shown; ``trial`` means after each episode."""
     attempts: Count = 1
-    """Number of times that checks (items with ``right``) may be answered."""
+    """Number of attempts to answer the checks (items with ``right``)."""
     fail: Literal["screen_out", "note"] = "screen_out"
-    """Consequence when no attempt is left: the end of the session, or only a note for the report and its exclusion rules."""
+    """Consequence when no attempt is left: the session ends, or the failure is only noted for the report and its rules."""
     again: Text = ""
     """Text above the form when a check was not passed and another attempt is left."""
     conditions: list[str] = []
-    """Conditions after which the form is shown (default: all; built-in forms about the robot leave out those without one)."""
+    """Conditions after which the form is shown (default: all; built-in forms about the robot are omitted if there is
+    none)."""
     title: Text = ""
     text: Text = ""
     items: list[Item] = []
 
     @property
     def has_checks(self) -> bool:
-        """Return whether some answers are right and others wrong."""
+        """Return whether the form has items with right and wrong answers."""
         return any(item.right is not None for item in self.items)
 
 
@@ -202,7 +203,7 @@ class Design(Record, frozen=True):
     retention: date
     """Day by which recordings and answers are to be deleted."""
     contact: str
-    """Contact for participants, such as an e-mail address."""
+    """Contact address for participants, such as an e-mail address."""
     scenes: list[str]
     conditions: list[Condition]
     consent: Consent
@@ -214,7 +215,7 @@ class Design(Record, frozen=True):
     minutes: Count | None = None
     """Duration that is announced to participants [minutes]."""
     about: Text = ""
-    """Text above the consent text."""
+    """Text that the page shows above the consent text."""
     device: Device = Device()
     tutorial: Tutorial = Tutorial()
     dropout: DropOut = DropOut()
@@ -223,11 +224,11 @@ class Design(Record, frozen=True):
     exclude: list[Exclude] = []
     bonus: Bonus | None = None
     texts: dict[str, dict[str, str]] = {}
-    """Words of the pages, by language and name, that differ from the built-in ones."""
+    """Texts of the pages that replace built-in ones, by language and name."""
 
     @property
     def has_pairs(self) -> bool:
-        """Return whether participants come in pairs, because two of them play together under some condition."""
+        """Return whether the study has pairs of participants, who play together under some condition."""
         return any(condition.is_shared for condition in self.conditions)
 
     def condition(self, name: str) -> Condition:
@@ -235,7 +236,7 @@ class Design(Record, frozen=True):
         return next(c for c in self.conditions if c.name == name)
 
     def say(self, text: Text, language: str) -> str:
-        """Return a text in a language; in the study's first language if there is no other."""
+        """Return a text in a language, or in the study's first language if there is no translation."""
         if isinstance(text, str):
             return text
         return (
@@ -247,7 +248,7 @@ class Design(Record, frozen=True):
 
 
 class Block(msgspec.Struct, frozen=True):
-    """Episodes of one condition in one scene."""
+    """Consecutive episodes of one condition in one scene."""
 
     condition: str
     scene: str
@@ -255,27 +256,27 @@ class Block(msgspec.Struct, frozen=True):
 
 
 class Place(msgspec.Struct, frozen=True):
-    """Episodes of one participant: a practice episode in the first block's scene, then the blocks."""
+    """Plan of one participant's episodes: a practice episode in the first block's scene, then the blocks."""
 
     practice: tuple[int, ...]
     blocks: tuple[Block, ...]
 
 
 class StudyPlan(msgspec.Struct, frozen=True, kw_only=True):
-    """A study ready for a server: made by the command, read by the server and by workers."""
+    """Plan of a study, which the command makes for the server and the workers."""
 
     design: Design
     out: str
     """Folder of the study."""
     places: tuple[Place, ...]
-    """Places in the order in which participants get them."""
+    """Places for participants, in the order in which they are assigned."""
     plans: tuple[PlayPlan, ...]
-    """Plans of every condition (``""``: the tutorial) in every scene."""
+    """Plans of every condition in every scene; the empty name stands for the tutorial."""
     numbers: dict[str, int]
-    """Number of the plan of ``condition|scene``."""
+    """Index of the plan in ``plans`` by ``condition|scene``."""
     key_file: str
-    """File of the secret that makes pseudonyms."""
+    """Path of the file with the secret for pseudonyms."""
 
     def number(self, condition: str, scene: str) -> int:
-        """Return the number of the plan of a condition, or of the tutorial (empty name), in a scene."""
+        """Return the index of the plan of a condition, or of the tutorial (empty name), in a scene."""
         return self.numbers[f"{condition}|{scene}"]

@@ -1,6 +1,7 @@
 """Rules by which the report leaves out participants and episodes.
 
-They are written into the study file before anybody takes part, and refer to measures of what participants have done.
+The rules are in the study file before the first participant arrives, and refer to measures of participants and
+episodes.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from h3data_studies.overview import PlayedEpisode, played
 from h3data_studies.store import Participant
 
 FOCUS = "focus"
-"""Rows of the log of times at which participants turned to another window."""
+"""Name of the log rows that record when participants turned to another window."""
 PARTICIPANT_MEASURES = {
     "failed_checks": "checks that were not passed in the last attempt",
     "check_retries": "answers to checks that had to be given again",
@@ -62,19 +63,19 @@ def trial_measures(person: Participant, episode: PlayedEpisode) -> dict[str, flo
 
 @dataclass(frozen=True)
 class Exclusions:
-    """Participants and episodes that the rules of a study leave out."""
+    """Participants and episodes that the rules of a study exclude."""
 
     people: dict[str, str]
     """Reasons for the exclusion of participants, by participant."""
     trials: dict[tuple[str, str], str]
     """Reasons for the exclusion of episodes, by participant and row of the episode (`PlayedEpisode.row`)."""
     counts: dict[str, int]
-    """Number of participants, or of episodes of the remaining participants, that each rule excludes, by its name. One may fall
-    under several rules."""
+    """Number of excluded participants, or of excluded episodes of the remaining participants, by rule. Several rules
+    can exclude the same one."""
 
 
 def exclusions(design: Design, people: Sequence[Participant]) -> Exclusions:
-    """Apply the rules of a study."""
+    """Return the participants and episodes that the rules of a study exclude."""
     counts = {rule.name: 0 for rule in design.exclude}
 
     def reasons(of: str, measured: dict[str, float]) -> str:
@@ -95,7 +96,7 @@ def exclusions(design: Design, people: Sequence[Participant]) -> Exclusions:
 
 
 def rule_text(rule: Exclude) -> str:
-    """Return a rule in words."""
+    """Return an exclusion rule in words."""
     of = "Participants" if rule.of == "participant" else "Episodes"
     measures = PARTICIPANT_MEASURES if rule.of == "participant" else TRIAL_MEASURES
     bounds = [
@@ -105,7 +106,7 @@ def rule_text(rule: Exclude) -> str:
 
 
 def focus_rows(people: Sequence[Participant]) -> list[list[str | float]]:
-    """Return the log of when participants turned to another window and came back, with a header; Unix times [s]."""
+    """Return a header and the log of when participants turned to another window and came back, with Unix times [s]."""
     rows: list[list[str | float]] = [["participant", "time", "stage", "away", "why", "seconds"]]
     for person in people:
         rows += [

@@ -1,4 +1,7 @@
-"""Reading and checking of a study file, and assignment of episodes. This runs in the command, not in the server."""
+"""Reading and checking of a study file, and assignment of episodes to participants.
+
+This module runs in the command, not in the server.
+"""
 
 from __future__ import annotations
 
@@ -25,15 +28,15 @@ from sim_kinematic.policies.learned import PREFIX as WEIGHTS
 from sim_kinematic.policies.learned import stamped
 
 DESIGN_FILE = "design.json"
-"""Name of the file in the folder of a study with a copy of the study file from the arrival of the first participant."""
+"""Name of the copy of the study file in the study's folder, made when the first participant arrives."""
 _SECTION = re.compile(r" - at `\$\.?(.*)`$")
 
 
 def read_design(path: Path) -> Design:
-    """Read the study file at ``path``, checked except for what needs the simulator.
+    """Read the study file at ``path`` and check everything that does not need the simulator.
 
     Raises:
-        InputError: it cannot be read, or says something that is not possible; the message names the place.
+        InputError: the file cannot be read, or a value is invalid; the message names the place in the file.
     """
     try:
         text = path.read_bytes()
@@ -236,7 +239,7 @@ def _check_rule(rule: Exclude) -> None:
 
 
 def with_id_pattern(design: Design, pattern: str | dict[str, str] | None) -> Design:
-    """Return the design with other formats of ids."""
+    """Return the design with other formats of participants' ids."""
     recruiting = msgspec.structs.replace(design.recruiting, id_pattern=pattern)
     return msgspec.structs.replace(design, recruiting=recruiting)
 
@@ -284,17 +287,17 @@ def _distinct(what: str, names: list[str]) -> None:
 
 
 def study_folder(path: Path, design: Design) -> Path:
-    """Return the folder of a study's recordings: beside its file, with its name and version."""
+    """Return the folder of a study's recordings, which is next to its file and has its name and version."""
     return path.parent / f"{design.name}-{design.version}"
 
 
 def bots_folder(folder: Path) -> Path:
-    """Return the folder for the data of scripted participants, beside a study's ``folder``."""
+    """Return the folder for the data of scripted participants, which is next to the study's ``folder``."""
     return folder.with_name(folder.name + "-bots")
 
 
 def deal(design: Design) -> tuple[Place, ...]:
-    """Assign conditions, scenes and episodes to all participants; both of a pair that plays together get the same.
+    """Assign conditions, scenes and episodes to all participants; both members of a pair get the same.
 
     Raises:
         InputError: there are no such scenes.
@@ -328,7 +331,7 @@ def scene_names(design: Design) -> list[str]:
 
 
 def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
-    """Prepare a study for a server; above a ``speed`` of 1 time runs faster, for scripted participants.
+    """Prepare a study for a server; a ``speed`` above 1 accelerates the clock for scripted participants.
 
     Raises:
         InputError: there are no such scenes, apps, policies or rules.
@@ -363,7 +366,7 @@ def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
 
 
 def key_file(folder: Path) -> Path:
-    """Return the file of a study's secret: beside its folder, so that a copy of the folder lacks the key."""
+    """Return the file of a study's secret, which is outside its folder so that a copy of the folder lacks it."""
     return folder.resolve().with_name(folder.resolve().name + ".key")
 
 
@@ -389,10 +392,12 @@ def _tutorial(design: Design) -> Condition:
 
 
 def open_study(path: Path) -> tuple[Path, Design]:
-    """Return folder and design of a study that has begun, from its file or its folder; else those of its bots.
+    """Return the folder and design of a study that has started, or else of its scripted participants.
+
+    ``path`` is the study file or its folder.
 
     Raises:
-        InputError: there is no such study, or it has not begun.
+        InputError: there is no such study, or it has not started.
     """
     folder = path if path.is_dir() else study_folder(path, read_design(path))
     if not (folder / DESIGN_FILE).is_file() and (bots_folder(folder) / DESIGN_FILE).is_file():
@@ -414,10 +419,10 @@ def open_study(path: Path) -> tuple[Path, Design]:
 
 
 def open_store(folder: Path, design: Design, *, read_only: bool = True) -> StudyStore:
-    """Open the participants of a study. Changes to a ``read_only`` one are not stored.
+    """Open the store of a study's participants; changes are not written if it is ``read_only``.
 
     Raises:
-        InputError: nobody has taken part.
+        InputError: no participant has joined.
     """
     if not (folder / DATABASE).is_file():
         bots = bots_folder(folder)

@@ -1,7 +1,7 @@
 """Order of a participant's stages, as a state machine without input or output.
 
-What has happened is a list of rows (stage, data); the state follows from them, so that whatever is on the disk after a crash is
-a state, too.
+Completed stages are rows (stage, data), from which the state follows. The rows on the disk after a crash are therefore
+a valid state.
 """
 
 from __future__ import annotations
@@ -15,18 +15,17 @@ from h3data_studies.forms import checked_answers, forms_after, wrong_items
 ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN = "active", "complete", "screened_out", "dropped", "withdrawn"
 STATUSES = (ACTIVE, COMPLETE, SCREENED_OUT, DROPPED, WITHDRAWN)
 SMALL = "small_window"
-"""Reason why a device is refused for now; also the row of its last report."""
+"""Reason for refusing a device for now, and name of the row with its last report."""
 CHECK, FAILED = "check", "failed_check"
-"""Rows of answers that did not pass a form's checks; and reason for screening out a participant who failed the last
-attempt."""
+"""Name of rows with answers that did not pass a form's checks, and reason for screening out after the last attempt."""
 PARTED, UNPAIRED = "partner_left", "no_partner"
-"""Reasons for the end of a participation: the partner of the pair has gone, or none has come."""
+"""Reasons for the end of a participation: the partner of the pair has left, or none has come."""
 PASSED = "success"
-"""Ending of a passed episode of the tutorial."""
+"""Reason of ending of a tutorial episode that was passed."""
 
 
 class NotNow(Exception):
-    """Error for a participant who is at another stage or has sent something invalid; the text is for them."""
+    """Error for a request that does not fit the participant's stage or is invalid; the text is for the participant."""
 
 
 @dataclass(frozen=True)
@@ -35,18 +34,18 @@ class Stage:
 
     kind: str
     block: int = 0
-    """Number of the block, from 1; 0 before the blocks; for forms at the end, one more than there are blocks."""
+    """Number of the block from 1; 0 before the blocks, and the number of blocks plus one for forms at the end."""
     trial: int = 0
-    """Number of an episode, and of a form after it, within its block, from 1."""
+    """Number of the episode within its block from 1; a form after an episode has the number of this episode."""
     form: str = ""
     after: str = ""
-    """Place of a form in the study, `Form.after`."""
+    """Place of the form in the study (`Form.after`); empty for other stages."""
     row: str = ""
-    """Value of `key`, if it does not follow from the above."""
+    """Value of `key` if it does not follow from the other fields."""
 
     @property
     def key(self) -> str:
-        """Name of the stage in rows."""
+        """Name of the stage in the rows of a participant."""
         return self.row or "/".join(str(part) for part in (self.kind, self.block, self.trial or self.form) if part)
 
 
@@ -73,12 +72,12 @@ def stages_of(design: Design, place: Place) -> tuple[Stage, ...]:
 
 @dataclass
 class Progress:
-    """Progress of a participant."""
+    """Progress of a participant through the stages of a study."""
 
     design: Design
     place: Place
     rows: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Completed stages, by key. Attempts at the tutorial have rows of their own (``tutorial/1``)."""
+    """Completed stages by key. Each attempt at the tutorial has its own row (``tutorial/1``)."""
     status: str = ACTIVE
     reason: str = ""
 
@@ -103,18 +102,18 @@ class Progress:
         return sum(key.startswith("tutorial/") for key in self.rows)
 
     def is_shared(self, row: str) -> bool:
-        """Return whether a row is that of an episode which two participants play together."""
+        """Return whether a row belongs to an episode that two participants play together."""
         kind, *numbers = row.split("/")
         return kind == "episode" and self.design.condition(self.place.blocks[int(numbers[0]) - 1].condition).is_shared
 
     @property
     def has_met(self) -> bool:
-        """Return whether the participant has played with another one."""
+        """Return whether the participant has played together with another one."""
         return any(map(self.is_shared, self.rows))
 
     # --- what participants do -----------------------------------------------------------------------------------------
     def device(self, report: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        """Store what is known about the participant's device, which ends the participation if it is not suitable.
+        """Store a report about the participant's device, and end the participation if the device is not suitable.
 
         A window that is too small can be enlarged and is checked again, unless the report is the ``final`` one.
 
@@ -143,7 +142,7 @@ class Progress:
     def answer(
         self, form_id: str, answers: dict[str, Any], block: int | None = None, trial: int | None = None
     ) -> dict[str, dict[str, Any]]:
-        """Store the answers of the form that is next.
+        """Store the answers to the participant's next form.
 
         A form whose checks are not passed is asked again; after the last attempt the answers are stored, and the
         participation may end.
@@ -151,8 +150,8 @@ class Progress:
         Args:
             form_id: form that was filled in.
             answers: answers by item.
-            block: block for which it was filled in (`Stage.block`); None is the present one.
-            trial: episode of the block, likewise.
+            block: block for which it was filled in (`Stage.block`); None is the current one.
+            trial: episode of the block (`Stage.trial`); None is the current one.
 
         Returns:
             The new rows.
@@ -181,10 +180,10 @@ class Progress:
         return sum(key.startswith(f"{CHECK}/{self.stage.key}/") for key in self.rows)
 
     def require_here(self, block: int | None, trial: int | None) -> None:
-        """Check that a page refers to the present episode.
+        """Check that a page refers to the participant's current episode.
 
         Raises:
-            NotNow: it names another episode (`Stage.block`, `Stage.trial`).
+            NotNow: the page refers to another episode (`Stage.block`, `Stage.trial`).
         """
         stage = self.stage
         if block not in (None, stage.block) or (stage.block and trial not in (None, stage.trial)):
@@ -192,12 +191,12 @@ class Progress:
 
     @property
     def form(self) -> Form:
-        """Form that is next."""
+        """Form that the participant has to fill in next."""
         stage = self.stage
         return self.form_of(stage)[0]
 
     def form_of(self, stage: Stage) -> tuple[Form, str]:
-        """Return the form of a stage, and the condition that it is about (empty: none)."""
+        """Return the form of a stage, and the name of its condition (empty if it is about none)."""
         condition = self.place.blocks[stage.block - 1].condition if stage.after in ("trial", "condition") else ""
         forms = forms_after(self.design, stage.after, condition)
         return next(form for form in forms if form.id == stage.form), condition
@@ -211,7 +210,7 @@ class Progress:
             result: ``ended``, ``steps``, ``slipped`` and more.
 
         Returns:
-            The new rows; none where it is known.
+            The new rows; empty if the end is already stored.
         """
         if key in self.rows:
             return {}
@@ -229,7 +228,7 @@ class Progress:
         return self._note(rows)
 
     def end(self, status: str, reason: str) -> None:
-        """End the participation, once."""
+        """End the participation; do nothing if it has already ended."""
         if self.status == ACTIVE:
             self.status, self.reason = status, reason
 

@@ -1,10 +1,10 @@
-"""Built-in questionnaires, and the checks of answers.
+"""Built-in questionnaires, and checks of answers to forms.
 
-NASA-TLX: S. G. Hart and L. E. Staveland, "Development of NASA-TLX", 1988, without the pairwise weighting (raw TLX: S. G. Hart,
-"NASA-Task Load Index (NASA-TLX); 20 Years Later", 2006): six scales from 0 to 100 in steps of 5. Fluency: the subjective scales
-"human-robot fluency" and "robot relative contribution" of G. Hoffman, "Evaluating Fluency in Human-Robot Collaboration", 2019.
-Trust: J.-Y. Jian, A. M. Bisantz, C. G. Drury, "Foundations for an Empirically Determined Scale of Trust in Automated Systems",
-2000, about "the robot" instead of "the system".
+NASA-TLX: S. G. Hart and L. E. Staveland, "Development of NASA-TLX", 1988, without the pairwise weighting (raw TLX: S.
+G. Hart, "NASA-Task Load Index (NASA-TLX); 20 Years Later", 2006): six scales from 0 to 100 in steps of 5. Fluency: the
+subjective scales "human-robot fluency" and "robot relative contribution" of G. Hoffman, "Evaluating Fluency in
+Human-Robot Collaboration", 2019. Trust: J.-Y. Jian, A. M. Bisantz, C. G. Drury, "Foundations for an Empirically
+Determined Scale of Trust in Automated Systems", 2000, about "the robot" instead of "the system".
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from h3data_studies.design import Design, Form, Item
 from h3data_studies.texts import in_all_languages
 
 LONGEST_TEXT = 4000
-"""Largest number of characters of a free answer."""
+"""Greatest length of a free-text answer [characters]."""
 
 
 def _agree(name: str, text: str, *, reversed: bool = False) -> Item:
@@ -85,13 +85,13 @@ _ENGLISH: dict[str, Form] = {
 BUILTIN = {name: in_all_languages(name, form) for name, form in _ENGLISH.items()}
 """Questionnaires by name. The German and Spanish words are our translations and have not been validated."""
 ABOUT_ROBOT = ("fluency", "trust")
-"""Forms about the robot, which are left out of conditions without one."""
+"""Names of built-in forms about the robot, which are omitted after conditions without a robot."""
 
 
 def resolved(form: Form) -> Form:
-    """Return a form with all its items: those of the built-in form that it names, then its own, such as a check.
+    """Return a form with all its items: those of its built-in questionnaire, followed by its own.
 
-    Its own title and text replace those of the built-in form.
+    Its own title and text replace those of the built-in questionnaire.
     """
     if not form.builtin:
         return form
@@ -111,7 +111,7 @@ def resolved(form: Form) -> Form:
 
 
 def forms_after(design: Design, what: str, condition: str = "") -> list[Form]:
-    """Return the forms after consent, practice, each episode of a condition, all of them, or at the end."""
+    """Return the forms that follow a stage: consent, tutorial, an episode, a condition, or the end of all conditions."""
     found = []
     for form in map(resolved, design.forms):
         if form.after != what or (condition and form.conditions and condition not in form.conditions):
@@ -123,7 +123,7 @@ def forms_after(design: Design, what: str, condition: str = "") -> list[Form]:
 
 
 def checked_answers(form: Form, answers: dict[str, Any]) -> tuple[dict[str, float | str], str]:
-    """Return the answers that a form accepts, and a sentence about the first that it does not accept."""
+    """Return the valid answers to a form, and a sentence about the first invalid one."""
     taken: dict[str, float | str] = {}
     if unknown := set(answers) - {item.id for item in form.items}:
         return {}, f"There is no question {sorted(unknown)[0][:40]!r} in this form."
@@ -149,7 +149,7 @@ def checked_answers(form: Form, answers: dict[str, Any]) -> tuple[dict[str, floa
 
 
 def wrong_items(form: Form, answers: dict[str, float | str]) -> list[str]:
-    """Return the checks of a form that its answers do not pass."""
+    """Return the names of a form's checks that its answers do not pass."""
     return [item.id for item in form.items if not item.is_right(answers.get(item.id))]
 
 
@@ -164,7 +164,7 @@ def right_answers(design: Design) -> dict[tuple[str, str], float]:
 
 
 def score(form: Form, answers: dict[str, float | str]) -> float | None:
-    """Return the mean of the answers on scales, checks left out, reversed ones turned round; None without any."""
+    """Return the mean of the scale answers, without checks and with reversed scales inverted; None without scales."""
     values = [
         item.min + item.max - float(answers[item.id]) if item.reversed else float(answers[item.id])
         for item in form.items

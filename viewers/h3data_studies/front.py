@@ -31,10 +31,10 @@ CHECK_S, HURRIED_S = 60.0, 10.0
 """Time without a check of the computer after which a place is released, and the shorter time that applies while another
 person wants the place [s]."""
 MOST_UNCHECKED = 3
-"""Largest number of participants of one network address who have agreed but whose computers have not been checked
+"""Largest number of participants from one network address who have consented but whose devices have not been checked
 yet."""
 JOINS_S = 600.0
-"""Time within which an address may send as many new participants as may take part from it at once [s]."""
+"""Time window in which a network address may add at most the number of participants that it may have at once [s]."""
 TOKEN_LENGTH = len(new_token())
 NOT_YET = "The other participant is not here yet. Please keep this page open."
 MEET_S = 0.5
@@ -49,7 +49,7 @@ Measure = Annotated[float, Meta(ge=0, le=1e6)]
 
 
 class Hello(msgspec.Struct, frozen=True):
-    """Body of ``api/study``."""
+    """Request body of ``api/study``, by which a page asks for its stage."""
 
     ids: dict[Short, Annotated[str, Meta(max_length=200)]] = {}
     language: Short = ""
@@ -58,7 +58,7 @@ class Hello(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """Body of ``api/study/consent``."""
+    """Request body of ``api/study/consent``: the answer to the consent text."""
 
     accept: bool
     hash: Short = ""
@@ -67,7 +67,7 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 class DeviceReport(msgspec.Struct, frozen=True):
-    """Body of ``api/study/device``: the kind of computer, not its identity."""
+    """Request body of ``api/study/device``: the kind of device, without its identity."""
 
     webgl: bool
     ping_ms: Measure
@@ -84,17 +84,17 @@ class DeviceReport(msgspec.Struct, frozen=True):
 
 
 class Filled(msgspec.Struct, frozen=True):
-    """Body of ``api/study/form``."""
+    """Request body of ``api/study/form``: the answers to a form."""
 
     form: Short
     answers: dict[Short, Any]
     block: int | None = None
-    """Number of the block, as in the view."""
+    """Number of the form's block, as in the view of the stage."""
     trial: int | None = None
 
 
 class Pause(msgspec.Struct, frozen=True):
-    """Body of ``api/study/pause``."""
+    """Request body of ``api/study/pause``: the start or end of a pause."""
 
     paused: bool
     block: int | None = None
@@ -102,24 +102,24 @@ class Pause(msgspec.Struct, frozen=True):
 
 
 class Focus(msgspec.Struct, frozen=True):
-    """Body of ``api/study/focus``: the participant has turned to another window, or is back."""
+    """Request body of ``api/study/focus``: the participant has turned to another window, or is back."""
 
     away: bool
     why: Literal["hidden", "blur"] = "blur"
-    """Reason: the page was hidden, or only another window had the keyboard."""
+    """Reason for the absence: the page was hidden, or another window had the keyboard focus."""
     ms: Annotated[float, Meta(ge=0, le=1e9)] = 0.0
     """Duration of the absence, once the participant is back [ms]."""
 
 
 class Episode(msgspec.Struct, frozen=True):
-    """Body of ``api/session``: the episode that the page is about."""
+    """Request body of ``api/session``: the block and trial of the page's episode."""
 
     block: int | None = None
     trial: int | None = None
 
 
 class StudyServer(WebServer):
-    """Server of all participants of one study."""
+    """Web server for all participants of one study."""
 
     journal: StudyStore
     seat_s = 30 * 86400
@@ -137,18 +137,18 @@ class StudyServer(WebServer):
         hosts: Sequence[str] = (),
         clock: Callable[[], float] = uptime,
     ) -> None:
-        """Sets up the server; it starts with its web application.
+        """Create the server, which starts with its web application.
 
         Args:
             study: design and plan of the study.
-            workers: number of worker processes, besides the spare one.
+            workers: number of worker processes, in addition to the spare one.
             open_door: whether ``/`` is the study's page; otherwise its link has a secret.
             secure: whether browsers connect through TLS.
             report: called with messages for the user of the command line.
             seats_per_address: number of simultaneous participants for one network address.
-            behind_proxy: as for `WebServer`.
-            hosts: as for `WebServer`.
-            clock: as for `WebServer`.
+            behind_proxy: as in `h3data_play.front.WebServer`.
+            hosts: as in `h3data_play.front.WebServer`.
+            clock: as in `h3data_play.front.WebServer`.
         """
         self.study, self.design = study, study.design
         super().__init__(
@@ -180,7 +180,7 @@ class StudyServer(WebServer):
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
-        """Return the web application with the study's pages besides those of live play."""
+        """Return the web application with the study's pages and those of live play."""
         app = super().application()
         for prefix in ("", "/s/{key}"):
             app.router.add_post(prefix + "/api/study", self.hello)
@@ -213,7 +213,7 @@ class StudyServer(WebServer):
         task.add_done_callback(self._tasks.discard)
 
     async def page(self, request: web.Request) -> web.StreamResponse:
-        """Return the page, with the information that this is a study."""
+        """Answer with the page of live play, marked as part of a study."""
         self._seat_number(request)
         if not self._page:
             try:
@@ -225,7 +225,7 @@ class StudyServer(WebServer):
 
     # --- pages --------------------------------------------------------------------------------------------------------
     async def hello(self, request: web.Request) -> web.Response:
-        """Answer with the stage of the participant; before consent, with the text that they are asked to agree to."""
+        """Answer with the participant's stage; before consent, answer with the consent text."""
         body, token = await self._read(request, Hello), ""
         participant = self._participant(request, body.ids)
         if body.rejoin and (participant is None or not participant.is_active):
@@ -253,12 +253,12 @@ class StudyServer(WebServer):
         )
 
     async def ping(self, request: web.Request) -> web.Response:
-        """Answer with nothing, at once."""
+        """Answer a ping with an empty body at once, so that a page can measure its round trip."""
         del request
         return web.Response(status=204, headers={"Cache-Control": "no-store"})
 
     async def consent(self, request: web.Request) -> web.Response:
-        """Add a new participant; of people who decline, only the number is stored."""
+        """Add a participant who consents; for people who decline, only their number is counted."""
         body = await self._read(request, Answer)
         participant, token = self._participant(request, body.ids), self._token(request)
         language = self._language(body.language)
@@ -310,7 +310,7 @@ class StudyServer(WebServer):
         self._joins[address] = left - 1, now
 
     async def device(self, request: web.Request) -> web.Response:
-        """Store the page's report about the computer and its connection."""
+        """Store the page's report about the participant's device and its connection."""
         body = await self._read(request, DeviceReport)
 
         def note(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -321,7 +321,7 @@ class StudyServer(WebServer):
         return answer
 
     async def form(self, request: web.Request) -> web.Response:
-        """Store a form that has been filled in."""
+        """Store a form that the participant has filled in."""
         body = await self._read(request, Filled)
 
         def answer(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -337,7 +337,7 @@ class StudyServer(WebServer):
         return self._act(request, answer)
 
     async def pause(self, request: web.Request) -> web.Response:
-        """Store a pause, or its end. The world stands still by itself while nobody is connected to it."""
+        """Store the start or end of a pause; the world stands still while no participant is connected."""
         body = await self._read(request, Pause)
 
         def note(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -350,7 +350,7 @@ class StudyServer(WebServer):
         return self._act(request, note)
 
     async def focus(self, request: web.Request) -> web.Response:
-        """Store that the participant has turned to another window, or is back; being away is no activity."""
+        """Store that the participant has turned to another window, or is back; an absence does not count as activity."""
         body, participant = await self._read(request, Focus), self._required(request)
         progress = participant.progress
         count = sum(key.startswith(f"{FOCUS}/") for key in progress.rows)
@@ -364,7 +364,7 @@ class StudyServer(WebServer):
         return web.Response(status=204)
 
     async def withdraw(self, request: web.Request) -> web.Response:
-        """End the participation at the participant's wish."""
+        """End the participation at the participant's request."""
         await self._read(request, Hello)
 
         def stop(participant: Participant) -> dict[str, dict[str, Any]]:
@@ -484,7 +484,7 @@ class StudyServer(WebServer):
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
-        """Give a seat to a browser whose page is about the next episode."""
+        """Give a seat to a browser whose page is at the next episode."""
         body = await self._read(request, Episode)
         participant = self._participant(request)
         if participant is not None and participant.is_active:
@@ -598,7 +598,7 @@ class StudyServer(WebServer):
                 self._say_full(fault)
 
     def release_unchecked(self, seconds: float) -> None:
-        """Forget participants whose computers were not checked in time; their places and ids become free."""
+        """Remove participants whose devices were not checked in time, so that their places and ids become free."""
         self.journal.count_time()
         for number in list(self._unchecked):
             participant = self.journal.participants.get(number)
@@ -610,7 +610,7 @@ class StudyServer(WebServer):
                 self.report({"released": {"participant": participant.id}})
 
     def look_for_drop_outs(self) -> None:
-        """Update the time of all participants, and end the sessions of those who have been idle for too long."""
+        """Update the time of all participants, and end the participation of those who have been idle for too long."""
         self.journal.count_time()
         now = self.clock()
         for live in self.lives.values():

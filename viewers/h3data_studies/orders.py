@@ -1,4 +1,4 @@
-"""Orders of episodes: the episode that a worker plays for a stage, and the file of its recording."""
+"""Orders of games for a study: the episode that a worker plays for a stage, and the file of its recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def game_key(participant: Participant, stage: Stage) -> str:
 
 
 def row_of(key: str) -> str:
-    """Return the name of the row that is stored when a game ends."""
+    """Return the name of the row that is stored when the game with a key ends."""
     return key.partition("/")[2]
 
 
@@ -29,7 +29,7 @@ def recording_path(folder: Path, pseudonym: str, row: str) -> Path:
 
     Args:
         folder: Folder of the study.
-        pseudonym: Participant; of two who have played together both, joined by ``_``.
+        pseudonym: Pseudonym of the participant, or both pseudonyms of a pair, joined by ``_``.
         row: Row of the episode.
     """
     return folder / f"{_name(pseudonym, row)}.mcap"
@@ -56,9 +56,9 @@ def order_of(study: StudyPlan, participant: Participant, key: str, company: Part
 
     Args:
         study: Plan of the study.
-        participant: Player of the game; of two who play together, the one in its first seat.
+        participant: Player of the game; for a pair, the one in the first seat.
         key: Key of the game.
-        company: Player in its second seat.
+        company: Player in the second seat, for a pair.
     """
     place, design, row = study.places[participant.place], study.design, row_of(key)
     hitl: dict[str, Any] = {"study": {"name": design.name, "version": design.version}, **_facts(participant)}

@@ -1,4 +1,4 @@
-"""Overview of a running study: participants, conditions, late steps."""
+"""Overview of a running study: its participants, conditions, and late steps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BOT = "bot"
 
 @dataclass(frozen=True)
 class PlayedEpisode:
-    """An episode that has ended."""
+    """Episode of a participant that has ended."""
 
     participant: str
     condition: str
@@ -30,7 +30,7 @@ class PlayedEpisode:
     steps: int
     slipped: int
     pair: tuple[str, ...] = ()
-    """Both participants, in the order of their seats, if two have played it together."""
+    """Pseudonyms of both participants, in the order of their seats, if they played the episode together."""
     remarks: tuple[Mapping[str, Any], ...] = ()
     """Reported problems, and the answer to the question at the end, from the recording."""
 
@@ -41,12 +41,12 @@ class PlayedEpisode:
 
 
 def is_bot(participant: Participant) -> bool:
-    """Return whether a participant is a script, and declares it."""
+    """Return whether a participant declares that it is a script."""
     return participant.progress.rows.get("device", {}).get("browser") == BOT
 
 
 def played(participant: Participant) -> list[PlayedEpisode]:
-    """Return a participant's episodes, without practice, in order."""
+    """Return a participant's episodes in order, without practice episodes."""
     episodes = []
     for row, result in participant.progress.rows.items():
         kind, *numbers = row.split("/")
@@ -72,7 +72,7 @@ def played(participant: Participant) -> list[PlayedEpisode]:
 
 
 def usable(design: Design, episode: PlayedEpisode) -> str:
-    """Return the reason why an episode is left out of the report; empty if it is not."""
+    """Return the reason why the report excludes an episode; empty if it is included."""
     if episode.ended == "failed":
         return "the simulator failed"
     if episode.ended == "closed":

@@ -1,4 +1,4 @@
-"""Pseudonyms of a study's participants under a secret that is beside the study's folder, not in it."""
+"""Pseudonyms of a study's participants, made with a secret that is stored outside the study's folder."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import secrets
 from pathlib import Path
 
 IDS = ("PROLIFIC_PID", "STUDY_ID", "SESSION_ID")
-"""Names of ids in links of the recruiting platform; all are hashed at once."""
+"""Names of the ids in links of the recruiting platform; all ids are hashed on arrival."""
 PATTERNS = {"PROLIFIC_PID": "[0-9a-fA-F]{24}"}
-"""Formats of ids for which the study file gives none (``[recruiting] id_pattern``)."""
+"""Default formats of ids, for which the study file gives none (``[recruiting] id_pattern``)."""
 ANY = ".*"
 _PLACEHOLDER = re.compile(r"[{}<>%$\[\]]")
 
 
 def read_key(path: Path) -> bytes:
-    """Return the secret of a study, made at its first use and readable for its owner only.
+    """Return the secret of a study, which is created at its first use and readable only by its owner.
 
     It is not in the study's folder, so that a copy of the folder lacks the key.
     """
@@ -33,7 +33,7 @@ def read_key(path: Path) -> bytes:
 
 
 def recruit_ids(given: dict[str, str], key: bytes) -> dict[str, str]:
-    """Return pseudonyms of the ids in a participant's link; unknown and empty ones are left out."""
+    """Return pseudonyms of the ids in a participant's link, without unknown and empty ids."""
     from h3data.pseudonyms import anonymous_id  # light: it imports nothing but the standard library
 
     ids = {name: given.get(name, "").strip() for name in IDS}
@@ -45,11 +45,11 @@ def recruit_ids(given: dict[str, str], key: bytes) -> dict[str, str]:
 
 
 def refused_id(given: dict[str, str], patterns: str | dict[str, str] | None) -> tuple[str, str]:
-    """Return the name of the first id that is not one, and why, as a name in `texts.ENGLISH`; empty texts if all are.
+    """Return the name of the first invalid id and of the reason in `texts.ENGLISH`, or empty texts if all are valid.
 
     Args:
         given: Parameters of the participant's link, by name.
-        patterns: Regular expressions of whole ids by name, or that of ``PROLIFIC_PID``, as in the study file.
+        patterns: Regular expressions for whole ids by name, or one for ``PROLIFIC_PID``, as in the study file.
     """
     own = {"PROLIFIC_PID": patterns} if isinstance(patterns, str) else patterns or {}
     for name in IDS:
@@ -64,17 +64,17 @@ def refused_id(given: dict[str, str], patterns: str | dict[str, str] | None) -> 
 
 
 def completion_code(pseudonym: str, key: bytes) -> str:
-    """Return the completion code that only this participant gets: 10 letters and digits."""
+    """Return the personal completion code of a participant: 10 letters and digits."""
     code = hmac.digest(key, f"complete|{pseudonym}".encode(), hashlib.sha256)
     return base64.b32encode(code[:7]).decode()[:10]
 
 
 def rejoin_code(pseudonym: str, seat: str, key: bytes) -> str:
-    """Return the code by which a participant continues once in another browser; another seat has another code.
+    """Return the code by which a participant can continue once in another browser; it changes with the seat.
 
     Args:
         pseudonym: Pseudonym of the participant.
-        seat: Digest of the token of their present seat.
+        seat: Digest of the token of their current seat.
         key: Secret of the study.
     """
     code = hmac.digest(key, f"rejoin|{pseudonym}|{seat}".encode(), hashlib.sha256)

@@ -1,4 +1,4 @@
-"""Server of a study as a process, as `h3data_play.serve`. ``h3data study run`` starts it."""
+"""Server of a study as a process, which ``h3data study run`` starts (see `h3data_play.serve`)."""
 
 from __future__ import annotations
 

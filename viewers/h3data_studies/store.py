@@ -1,4 +1,4 @@
-"""Participants on the disk: their consent, progress and seats.
+"""Store of a study's participants on the disk: their consent, progress and seats.
 
 There is one SQLite file per study. Every commit is on the disk before a browser learns of it.
 """
@@ -32,12 +32,12 @@ create table if not exists rows (
 create table if not exists counts (name text primary key, value integer not null);
 """
 GAP_S = 15.0
-"""Longest interval that counts as time of participants [s]; after a longer one the server was suspended or stopped."""
+"""Longest interval that counts as participants' time [s]; after a longer one the server was suspended or stopped."""
 
 
 @dataclass(eq=False)
 class Participant:
-    """Person who has consented to take part."""
+    """Person who has consented to take part in a study."""
 
     number: int
     id: str
@@ -45,11 +45,11 @@ class Participant:
     place: int
     """Index into `StudyPlan.places`."""
     joined: float
-    """Unix time at which the participant joined [s], for readers; no duration is measured by it."""
+    """Unix time at which the participant joined [s]; it is informative, and no duration is computed from it."""
     used: float
     """Time since the participant's consent during which the study was served [s]."""
     idle: float
-    """Time since the participant last did something [s], counted like ``used``."""
+    """Time since the participant's last activity [s], counted like ``used``."""
     language: str
     consent: dict[str, str]
     """Version and SHA-256 of the text that the participant agreed to."""
@@ -59,7 +59,7 @@ class Participant:
     ended: float | None = None
     """Unix time of the end of the participation [s]."""
     times: dict[str, float] = field(default_factory=dict)
-    """Time at which each row was written."""
+    """Unix time at which each row was written [s], by row."""
 
     @property
     def is_active(self) -> bool:
@@ -68,7 +68,7 @@ class Participant:
 
 
 class StudyStore(SeatLog):
-    """The journal of seats and games of a study, and its participants."""
+    """Journal of the seats and games of a study, with its participants."""
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class StudyStore(SeatLog):
         read_only: bool = False,
         clock: Callable[[], float] = uptime,
     ) -> None:
-        """Opens or creates the store of a study.
+        """Open or create the store of a study.
 
         Args:
             design: study file.
@@ -174,10 +174,10 @@ class StudyStore(SeatLog):
         return next((p for p in self.participants.values() if p.id == pseudonym), None)
 
     def free_place(self) -> int | None:
-        """Return the first place that nobody has or has filled; places of people who dropped out are free again.
+        """Return the first free place; places of people who dropped out are free again.
 
-        In a study of pairs, a place stays empty if the participant at the other place of the pair has begun to play
-        with the one who has left.
+        In a study of pairs, a place stays empty if the participant at the other place of the pair has started to play
+        with the person who has left.
         """
         taken = {p.place for p in self.participants.values() if p.progress.status in (ACTIVE, COMPLETE)}
         return next((k for k in range(len(self.places)) if k not in taken and self._is_open(k)), None)
@@ -194,11 +194,14 @@ class StudyStore(SeatLog):
 
     # --- pairs --------------------------------------------------------------------------------------------------------
     def company(self, participant: Participant) -> Participant | None:
-        """Return the other participant of a pair: the present or last holder of its other place."""
+        """Return the other participant of a pair, the current or last holder of the pair's other place."""
         return self._last_at(participant.place ^ 1) if self.design.has_pairs else None
 
     def players(self, game: Game) -> tuple[Participant, ...]:
-        """Return participants who play a game, in the order of its seats: of a pair, the one with the even place first."""
+        """Return the participants who play a game, in the order of its seats.
+
+        In a pair, the participant with the even place is first.
+        """
         first = self.participants.get(game.place)
         if first is None:
             return ()
@@ -206,7 +209,7 @@ class StudyStore(SeatLog):
         return (first,) if second is None else (first, second)
 
     def shared_game(self, participant: Participant) -> Game | None:
-        """Return the running game of a participant, stored with either of the pair."""
+        """Return the running game of a participant, which may be stored with the other member of the pair."""
         game = self.open_game(participant.number)
         other = self.company(participant) if game is None else None
         game = self.open_game(other.number) if other is not None else game
@@ -245,19 +248,19 @@ class StudyStore(SeatLog):
         return self.counted("last number")
 
     def count(self, name: str, by: int = 1) -> None:
-        """Count an event that belongs to no participant."""
+        """Increase the counter of an event that belongs to no participant."""
         self._db.execute(
             "insert into counts values (?, ?) on conflict (name) do update set value = value + excluded.value",
             (name, by),
         )
 
     def counted(self, name: str) -> int:
-        """Return how often an event happened."""
+        """Return the counter of an event."""
         row = self._db.execute("select value from counts where name = ?", (name,)).fetchone()
         return 0 if row is None else int(row[0])
 
     def saw(self, participant: Participant) -> None:
-        """Note that a participant has done something."""
+        """Record that a participant was active now."""
         self.count_time()
         if participant.is_active:
             participant.idle = 0.0
@@ -266,9 +269,9 @@ class StudyStore(SeatLog):
             )
 
     def count_time(self) -> None:
-        """Add the time since the last call to the time used by all active participants; called every few seconds.
+        """Add the time since the last call to the time of all active participants.
 
-        `keep_time` writes it to the disk.
+        It is called every few seconds; `keep_time` writes the times to the disk.
         """
         now = self._clock()
         passed, self._counted = now - self._counted, now
@@ -285,7 +288,7 @@ class StudyStore(SeatLog):
             self._db.executemany("update participants set used = ?, idle = ? where number = ?", now)
 
     def save(self, participant: Participant, rows: dict[str, dict[str, Any]]) -> None:
-        """Write new rows and the status, together."""
+        """Write new rows and the status of a participant in one transaction."""
         self.count_time()
         try:
             self._save(participant, rows)
@@ -332,13 +335,16 @@ class StudyStore(SeatLog):
         return _Transaction(self._db)
 
     def forget(self, participant: Participant) -> dict[str, int]:
-        """Delete a participant; return the number of entries of each kind. What is deleted is overwritten."""
+        """Delete a participant and overwrite the data; return the number of deleted entries of each kind."""
         removed = self.remove(participant)
         self._db.execute("vacuum")
         return removed
 
     def remove(self, participant: Participant) -> dict[str, int]:
-        """Delete a participant's data as `forget`, without shrinking the file, so that games are not interrupted."""
+        """Delete a participant's data without shrinking the file, so that games are not interrupted.
+
+        Use `forget` to overwrite the data as well.
+        """
         number = participant.number
         removed: dict[str, int] = {}
         other = self.company(participant)
@@ -368,12 +374,12 @@ class StudyStore(SeatLog):
         return self.taken(participant.number, 0)
 
     def move(self, participant: Participant, token: str) -> Seat:
-        """Give a participant a new seat for the browser that holds ``token``; the old seat is gone."""
+        """Give a participant a new seat for the browser that holds ``token``; the old seat becomes invalid."""
         old = self.seat_of(participant)
         return self.sit(token, participant.number, 0) if old is None else self.hand_over(old, token)
 
     def begin_episode(self, participant: Participant, key: str) -> Game:
-        """Begin an episode and return its game."""
+        """Start an episode and return its game."""
         game = Game(key, participant.number, 0)
         self._db.execute("insert into games values (?, ?, ?, ?)", (key, game.place, 0, ""))
         self.games[key] = game
@@ -381,7 +387,7 @@ class StudyStore(SeatLog):
 
 
 def pair_entry(players: Sequence[Participant]) -> dict[str, list[str]]:
-    """Return what the row of an episode says about two participants who have played it together."""
+    """Return the entry that the row of an episode has about two participants who played it together."""
     return {"pair": [player.id for player in players]} if len(players) > 1 else {}
 
 

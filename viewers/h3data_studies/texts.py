@@ -1,7 +1,7 @@
 """Texts for participants, by language.
 
-Those of the package (``texts/*.json``) can be replaced by a study file (``[texts.de]``), which has to give all of them
-for a further language (``[texts.fr]``).
+A study file can replace the texts of the package (``texts/*.json``) with ``[texts.de]``. For another language
+(``[texts.fr]``) it has to give all texts.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SHIPPED = ("en", "de", "es")
 
 
 class FormWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A built-in questionnaire in a language."""
+    """Words of a built-in questionnaire in one language."""
 
     title: str
     text: str
@@ -29,27 +29,27 @@ class FormWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     high: str
     items: dict[str, str]
     ends: dict[str, tuple[str, str]] = {}
-    """Lower and higher end of the scales that have words of their own."""
+    """Lower and upper end of the scales that have their own words, by item."""
 
 
 class Language(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Texts in one language."""
 
     pages: dict[str, str]
-    """Words of a study's pages, by name."""
+    """Texts of a study's pages, by name."""
     live: dict[str, str]
-    """Words of the page of episodes, by name."""
+    """Texts of the page on which episodes are played, by name."""
     forms: dict[str, FormWords] = {}
     """Built-in questionnaires; the English ones are in `h3data_studies.forms`."""
     said: dict[str, str] = {}
-    """Translations of the server's sentences, by the English sentence; ``{}`` is replaced by a value."""
+    """Translations of the server's sentences, by the English sentence; ``{}`` stands for a value."""
     things: dict[str, str] = {}
-    """Words for things and places, by the English words."""
+    """Translations of names of objects and places, by the English words."""
 
 
 @cache
 def shipped(language: str) -> Language | None:
-    """Return the texts of the package in a language, such as ``de`` or ``de-AT``; None: there are none."""
+    """Return the texts of the package in a language, such as ``de`` or ``de-AT``; None if there are none."""
     short = language.partition("-")[0]
     if short not in SHIPPED:
         return None
@@ -61,7 +61,7 @@ LIVE: dict[str, str] = shipped("en").live  # type: ignore[union-attr]
 
 
 def words(design: Design, language: str) -> dict[str, str]:
-    """Return all words of a study's pages in a language: those of the package where the study file has no others."""
+    """Return all texts of a study's pages in a language: those of the study file, else those of the package."""
     found = shipped(language)
     return ENGLISH | (found.pages if found is not None else {}) | design.texts.get(language, {})
 
@@ -69,8 +69,8 @@ def words(design: Design, language: str) -> dict[str, str]:
 def page_words(design: Design, language: str) -> dict[str, str]:
     """Return all texts of the page in a language.
 
-    They are `words`, those of episodes as ``live_NAME``, and translations of the server's English sentences and words
-    for things as ``said.TEXT`` and ``things.TEXT``.
+    They are the texts of `words`, the texts of episodes as ``live_NAME``, and translations of the server's English
+    sentences as ``said.TEXT`` and of names of objects as ``things.TEXT``.
     """
     found = shipped(language)
     if found is None:
@@ -84,7 +84,7 @@ def page_words(design: Design, language: str) -> dict[str, str]:
 
 
 def missing(design: Design, language: str) -> list[str]:
-    """Return the names of the words that a study in this language lacks; empty: all are there."""
+    """Return the names of the texts that a study lacks in this language; empty if it is complete."""
     if shipped(language) is not None:
         return []
     given = design.texts.get(language, {})

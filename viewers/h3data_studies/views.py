@@ -1,4 +1,4 @@
-"""Views of the study's page: plain data for each stage."""
+"""Views of the study's page: plain data that the page shows at each stage."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from h3data_studies.texts import page_words, words
 
 
 def text_hash(text: str) -> str:
-    """Return the SHA-256 of what a participant has read."""
+    """Return the SHA-256 digest of a text that a participant has read."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -30,7 +30,7 @@ def _page(design: Design, language: str, stage: dict[str, Any], **more: Any) -> 
 
 
 def consent_view(design: Design, language: str) -> dict[str, Any]:
-    """Return the consent text that people are asked to agree to."""
+    """Return the view with the consent text."""
     text, said = design.say(design.consent.text, language), words(design, language)
     facts = [
         said["retention"].format(date=design.retention.isoformat()),
@@ -52,7 +52,7 @@ def consent_view(design: Design, language: str) -> dict[str, Any]:
 def end_view(
     design: Design, language: str, status: str, reason: str = "", *, own_code: str = "", **more: Any
 ) -> dict[str, Any]:
-    """Return the last page; with the participant's own completion code, if the study has such codes."""
+    """Return the view of the last page, with the participant's personal completion code if the study has such codes."""
     said, recruiting = words(design, language), design.recruiting
     code, url = "", ""
     if status == COMPLETE:
@@ -73,7 +73,7 @@ def end_view(
 
 
 def stage_view(design: Design, participant: Participant, *, own_code: str = "") -> dict[str, Any]:
-    """Return the view of a participant's next stage; ``own_code`` is that of `end_view`."""
+    """Return the view of a participant's next stage; ``own_code`` is the personal completion code for `end_view`."""
     progress, language = participant.progress, participant.language
     stage, said = progress.stage, words(design, language)
     more = {"participant": participant.id, "progress": {"done": progress.done, "of": len(progress.stages)}}

@@ -1,4 +1,7 @@
-"""Views and reports from Python: ``h3data.view`` and ``h3data.report``. Each is imported at first use."""
+"""Functions that show recordings from Python: ``h3data.view`` and ``h3data.report``.
+
+Both are imported at first use.
+"""
 
 from __future__ import annotations
 

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 Viewer = Literal["rerun", "video"]
 STRIP = 5
-"""Number of pictures in the strip of a recording."""
+"""Number of pictures in the strip of a recording in a notebook."""
 LISTED = 10
-"""Number of listed episodes of a dataset."""
+"""Largest number of episodes of a dataset that a notebook lists."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,15 @@ def show(
     width: int | None = None,
     assets: Sequence[str | Path] = (),
 ) -> Any:
-    """Return something that a notebook displays: a Rerun viewer of the recording, or a video from one camera.
+    """Return an object that a notebook displays: a Rerun viewer of the recording, or a video from one camera.
 
     Args:
         recording: The recording.
-        viewer: ``rerun`` (needs ``pip install "h3data[notebook]"``) or ``video``; None: Rerun if it is installed.
+        viewer: ``rerun`` (needs ``pip install "h3data[notebook]"``) or ``video``; None selects Rerun if it is
+            installed.
         camera: Camera of the video: a name (`h3data.replay.camera_names`) or a file.
         width: Width [px] of the viewer or video.
-        assets: Folders of the files that a foreign recording names.
+        assets: Folders with the asset files of a foreign recording.
 
     Raises:
         InputError: there is no such viewer or camera.
@@ -120,7 +121,7 @@ def _video(recording: Recording, camera: str, *, width: int, assets: Sequence[st
 
 
 def recording_html(recording: Recording) -> str:
-    """Return a picture strip of a recording, what it is, and its metrics, as HTML."""
+    """Return a picture strip, a description and the metrics of a recording as HTML."""
     episode = recording.episode
     agents = ", ".join(f"{a.name} ({a.model or a.kind})" for a in recording.agents) or "none"
     facts: dict[str, Any] = {
@@ -144,7 +145,7 @@ def recording_html(recording: Recording) -> str:
 
 
 def episodes_html(episodes: Episodes, title: str) -> str:
-    """Return the first episodes of many, with what is known without reading their steps, as HTML."""
+    """Return a list of the first episodes as HTML, with the facts that are known without reading their steps."""
     facts = [stored.facts for stored in episodes.stored]
     counted = Counter(str(of["task"]) for of in facts)
     tasks = ", ".join(f"{count} {task}" for task, count in counted.most_common())

@@ -1,4 +1,4 @@
-"""Strips: moments of an episode of rearrangement side by side, each as a picture and as a plan with the paths so far."""
+"""Strips of moments of a rearrangement episode: each moment is a picture and a plan with the paths until then."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from h3data.replay.records import CameraTrack
 from h3data.replay.replay import Replay
 
 MOST = 8
-"""Largest number of moments in a strip; if there are more, it has the first and the last ones."""
+"""Largest number of moments in a strip; if there are more, the strip has the first and the last ones."""
 MOVES_MPS, OVER_S = 0.2, 0.5
-"""Speed above which an agent counts as moving, over the given time before and after."""
+"""Speed [m/s] above which an agent counts as moving, averaged over the time [s] before and after."""
 PASSING_M = 4.0
 """Distance below which moving agents count as crossing [m]."""
 COLORS = ((214, 92, 20), (30, 96, 200), (40, 150, 90), (160, 60, 170))
 """Colours of the agents' paths, by the number of the agent."""
 PAPER, INK, RIM = (250, 250, 248), (30, 30, 36), (255, 255, 255)
 WIDTH_PX, VIEW_PX, PLAN_PX = 360, 270, 320
-"""Size of a panel: its width, the height of its picture, and the largest height of its plan."""
+"""Sizes of a panel [px]: its width, the height of its picture, and the largest height of its plan."""
 LABEL_PX, GAP_PX = 46, 8
 SAID = {"pick": "picks", "place": "places"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class KeyFrame:
-    """Event in a strip."""
+    """Moment of an episode that a strip shows."""
 
     step: int
     text: str
@@ -45,7 +45,7 @@ class KeyFrame:
 
 
 def moments_of(recording: Recording) -> list[KeyFrame]:
-    """Return every pick and place of an episode, and where two agents cross, in the order of time."""
+    """Return every pick and place of an episode, and the moment at which two agents cross, in order of time."""
     found = [
         KeyFrame(step=e.step, text=f"{_name(recording, e.agent)} {SAID[e.kind]} {e.target}", agents=(e.agent,))
         for e in recording.events
@@ -60,7 +60,7 @@ def moments_of(recording: Recording) -> list[KeyFrame]:
 
 
 def crossing_of(recording: Recording) -> KeyFrame | None:
-    """Return where two agents pass closest while both move; None if they are never within `PASSING_M` then."""
+    """Return the moment at which two moving agents pass closest; None if they are never within `PASSING_M`."""
     positions = [_positions(recording, k)[:, [0, 2]] for k in range(len(recording.agents))]
     moves = [_moves(xz, recording.episode.dt_ns / 1e9) for xz in positions]
     nearest: list[tuple[float, int, int, int]] = []
@@ -81,8 +81,8 @@ def crossing_of(recording: Recording) -> KeyFrame | None:
 def episode_strip(replay: Replay) -> NDArray[np.uint8]:
     """Return the moments of a recorded episode side by side, RGB [H, W, 3].
 
-    Above each is its time and who does what, in the middle the view of a camera that follows the agent, below the plan with
-    the paths of all agents until then.
+    Each moment has its time and caption at the top, a picture from a camera that follows the agent in the middle, and
+    the plan with the paths of all agents until then at the bottom.
 
     Raises:
         InputError: nothing was picked or placed, or no scene was recorded.

@@ -1,4 +1,4 @@
-"""Templates of HTML pages (Jinja2) that lie beside the modules of this package. All values put into them are escaped."""
+"""Templates of HTML pages (Jinja2), which lie next to the modules of this package; all values are escaped."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
 
 
 def render(template: str, **values: Any) -> str:
-    """Return the text of a template with values.
+    """Return the text of a template, filled with values.
 
     Args:
-        template: Path of the template from the folder of this package, such as ``notebook.html``.
-        values: Values by the names that the template has for them; a missing one is an error.
+        template: Path of the template relative to the folder of this package, such as ``notebook.html``.
+        values: Values by their names in the template; a missing value is an error.
     """
     return environment().get_template(template).render(values)
 
 
 def source(path: str) -> Markup:
-    """Return a file beside the templates, such as a script or a style sheet, as part of a page; it is not escaped."""
+    """Return a file of this package, such as a script or style sheet, for use in a page without escaping."""
     from markupsafe import Markup
 
     # not `include`, which would read the braces of scripts as those of templates
@@ -34,7 +34,7 @@ def source(path: str) -> Markup:
 
 @cache
 def environment() -> Environment:
-    """Return the environment of all templates. It escapes values, and a name without a value is an error."""
+    """Return the environment of all templates, in which values are escaped and a missing value is an error."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     from h3data_viewers.html_report.tables import counted, cut, number

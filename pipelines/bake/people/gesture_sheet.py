@@ -22,7 +22,7 @@ WIDTH, SPACING_M, ROW_M, HEADING, MOMENTS = 1300, 0.95, 2.05, -1.3, (0.0, 0.25, 
 
 
 def main(out: str) -> None:
-    """Renders the sheet: two gestures a row."""
+    """Render the sheet: two gestures a row."""
     poses, props, names = [], [], humanoid_names()
     for number, name in enumerate(NAMES):
         body = load_humanoid(names[number % len(names)])

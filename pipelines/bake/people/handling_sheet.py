@@ -46,9 +46,9 @@ PERSON, MIDDLE_M, TALL_M, CLOSE_M = 1, 0.92, 2.1, 0.5
 BOOM_M, YAWS, ELEVATIONS_DEG = 2.6, 36, (8.0, 20.0, 35.0)
 HIDDEN = ("ceiling",)
 AFTER_STEPS = 120
-"""Steps of the hand-over and after it."""
+"""Number of steps of the hand-over and after it."""
 WALKS_M, SIDE_RAD = 0.4, 0.8
-"""Way in a second of a person who walks; direction from which hands are seen, from that of the person."""
+"""Distance per second of a person who walks [m], and direction of the camera of hands, relative to the person's [rad]."""
 
 
 class Stage:
@@ -67,7 +67,7 @@ class Stage:
         self._renderer = replay.stage.renderer()
 
     def offset(self, steps: NDArray[np.intp], points: Array, toward: float) -> Array:
-        """Offset [3] of a camera from points [T, 3]: a long free line to each, near the direction ``toward`` [rad]."""
+        """Return the camera offset [3] from points [T, 3] with free lines of sight, near direction ``toward`` [rad]."""
         free = np.full(len(self._rays), BOOM_M)
         for step, point in zip(steps, points, strict=True):
             self._sight.at(int(step))
@@ -79,7 +79,7 @@ class Stage:
     def row(
         self, steps: NDArray[np.intp], toward: float, *, joint: str = "", beside: Array | None = None
     ) -> NDArray[np.uint8]:
-        """Frames at steps, side by side, around the person's middle or a joint, or halfway to a point ``beside`` them [3]."""
+        """Return frames side by side, with the camera on the person, a joint, or halfway to ``beside`` [3]."""
         points = self.base[steps, :3] + [0, MIDDLE_M, 0]
         if beside is not None:
             points = (points + beside) / 2
@@ -100,13 +100,13 @@ class Stage:
 
 
 def around(step: int, every: int, length: int, *, before: float = 0.5) -> NDArray[np.intp]:
-    """`FRAMES` steps, ``every`` apart, ``before`` of them before ``step``."""
+    """Return `FRAMES` steps that are ``every`` apart, of which a share ``before`` lies before ``step``."""
     first = step - round(before * FRAMES * every)
     return np.clip(first + np.arange(FRAMES) * every, 0, length - 1)
 
 
 def corridor() -> NDArray[np.uint8]:
-    """The rows of a corridor."""
+    """Return the picture of a person who turns round in a corridor."""
     home = h3data.build_home(h3data.HomeSpec(preset="medium", seed=3))
     recording = h3data.simulate(Wander, home, roster="robot,female_1", seed=1, max_steps=1800)
     stage, length = Stage(Replay(recording)), len(recording)
@@ -122,7 +122,7 @@ def corridor() -> NDArray[np.uint8]:
 
 
 def handling() -> NDArray[np.uint8]:
-    """The rows of an episode of rearrangement."""
+    """Return the picture of an episode of rearrangement."""
     recording = h3data.simulate(Rearrange, HOME, seed=SEED, rules="natural")
     replay, length = Replay(recording), len(recording)
     stage = Stage(replay)
@@ -147,7 +147,7 @@ def handling() -> NDArray[np.uint8]:
 
 
 def handed_over() -> Recording:
-    """A person takes the first object and gives it to the robot, which keeps still."""
+    """Return a recording of a person who gives the first object to a robot at rest."""
     session = h3data.session(Rearrange, HOME, seed=SEED, agents={"person": External(), "robot": "still"})
     play: Any = session.play  # a person who is driven has more than the interface of a session
     person, robot = play.team.people[0], play.team.actors[0]
@@ -175,7 +175,7 @@ def handed_over() -> Recording:
 
 
 def hand_over() -> NDArray[np.uint8]:
-    """The rows of a hand-over."""
+    """Return the picture of a hand-over."""
     recording = handed_over()
     stage = Stage(Replay(recording))
     gives = next(s for s in recording.skills if s.name == "hand_over")
@@ -197,7 +197,7 @@ SHEETS = {"handling": handling, "corridor": corridor, "hand_over": hand_over}
 
 
 def main(target: str, sheet: str = "handling") -> None:
-    """Writes a sheet."""
+    """Write a sheet."""
     write_jpg(Path(target), SHEETS[sheet](), quality=75)
 
 

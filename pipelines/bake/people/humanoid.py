@@ -58,13 +58,13 @@ KEPT = (
     "walk",
     "jog",
 )
-"""Parts of a body that move it and touch. For one that has shipped it is kept to the bit, since recordings depend on it, and
-anny gives other last digits on other machines."""
+"""Arrays that determine the motion and contact of a body. For shipped bodies they are never changed, because recordings
+depend on them and anny gives different last digits on other machines."""
 Arrays = dict[str, NDArray[Any]]
 
 
 def common_arrays(base: Base) -> Arrays:
-    """The arrays that all bodies share."""
+    """Return the arrays that all bodies share."""
     parts, pattern = capsule_parts(), base.pattern
     common: Arrays = {
         "joint_names": np.array(JOINT_NAMES),
@@ -77,7 +77,7 @@ def common_arrays(base: Base) -> Arrays:
 
 
 def looks_of(spec: BodySpec, base: Base, rig: Rig, common: Arrays) -> Arrays:
-    """The arrays of a body that say how it looks."""
+    """Return the arrays of a body's look."""
     return {
         "common": common["common"],
         "base_delta": to_planes(_whole(base.vertices(rig)) - _whole(base.pattern.vertices)),
@@ -86,14 +86,14 @@ def looks_of(spec: BodySpec, base: Base, rig: Rig, common: Arrays) -> Arrays:
 
 
 def dense_weights(mesh: SkinnedMesh) -> Array:
-    """Skin weights of every joint [V, 55]."""
+    """Return skin weights of every joint [V, 55]."""
     dense = np.zeros((len(mesh.joints), len(JOINT_NAMES)))
     np.add.at(dense, (np.arange(len(dense))[:, None], mesh.joints), mesh.weights)
     return dense
 
 
 def body_arrays(name: str, rig: Rig, vertices: Array, faces: NDArray[np.int32], weights: Array) -> Arrays:
-    """Skeleton, capsules and gait of a body with this mesh in its rest pose; what every body file holds."""
+    """Return skeleton, capsules and gait of a body with this mesh in its rest pose, which every body file contains."""
     legs = legs_of(rig)
     gaits = fit_gaits(legs, float(np.ptp(rig.vertices[:, 1])))
     capsules = fit_capsules(rig, vertices, faces, weights)
@@ -116,7 +116,7 @@ def body_arrays(name: str, rig: Rig, vertices: Array, faces: NDArray[np.int32], 
 def mesh_arrays(
     prefix: str, mean: NDArray[np.int16], faces: NDArray[np.int32], weights: Array, regions: NDArray, weld: NDArray
 ) -> Arrays:
-    """Arrays that one mesh of all bodies has in common; the four greatest skin weights."""
+    """Return the arrays that a mesh has in common for all bodies, with the four greatest skin weights."""
     order = np.argsort(-weights, axis=1, kind="stable")[:, :4]
     greatest = np.take_along_axis(weights, order, axis=1)
     greatest /= greatest.sum(axis=1, keepdims=True)
@@ -135,12 +135,12 @@ def _whole(vertices: Array) -> NDArray[np.int16]:
 
 
 def digest(arrays: Arrays) -> str:
-    """A short name of a topology, so that bodies of another one are noticed."""
+    """Return a short name of a topology, by which bodies of another topology are detected."""
     return hashlib.sha256(b"".join(arrays[key].tobytes() for key in sorted(arrays))).hexdigest()[:16]
 
 
 def write_npz(path: Path, arrays: Arrays) -> None:
-    """A compressed npz whose bytes depend on the arrays alone (`numpy.savez` stamps the time)."""
+    """Write a compressed npz whose bytes depend only on the arrays (`numpy.savez` stores the time)."""
     with part_file(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name in sorted(arrays):
             stream = io.BytesIO()

@@ -23,7 +23,7 @@ LINEN = (176, 160, 140)
 
 
 def bed(sitting: Sitting, *, along: bool) -> list[Mesh]:
-    """A surface under a person, in the agent root frame: behind the edge, or along the body."""
+    """Return a surface under a person, in the agent root frame: behind the edge, or along the body."""
     top = sitting.seat_m - 0.002
     behind, ahead, aside = sitting.lying_size
     if along:
@@ -35,7 +35,7 @@ def bed(sitting: Sitting, *, along: bool) -> list[Mesh]:
 
 
 def main(out: str) -> None:
-    """Renders the sheet."""
+    """Render the sheet."""
     rows = []
     for name, height in STAGES:
         sitting = sitting_on(load_humanoid(name), height)

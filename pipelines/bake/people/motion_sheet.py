@@ -31,33 +31,33 @@ from h3data_motion.files import save_motion
 FRAMES, EVERY, WIDTH = 12, 3, 1920
 SPACING_M = 1.15
 OWN, WALKER, ARM_DEG = "own", "female_2", 62.0
-"""Name of our own walk, whose left arm is held out by so much, and the body that walks as a file says."""
+"""Name of our own walk, the body that walks as a motion file does, and the angle of the left arm held out [deg]."""
 Track = tuple[Array, Array]
 """Speeds [m/s] and turning rates [rad/s], each [T]."""
 
 
 def start(speed: float, acceleration: float) -> Track:
-    """From standing."""
+    """Return the track of a person who starts walking."""
     steps = FRAMES * EVERY + 6
     ahead = np.minimum(np.maximum(np.arange(steps) - 6, 0) * acceleration / 30, speed)
     return ahead, np.zeros(steps)
 
 
 def stop(speed: float, acceleration: float) -> Track:
-    """To standing, from a steady gait."""
+    """Return the track of a person who walks steadily and stops."""
     ahead = np.concatenate([np.minimum(np.arange(90) * 1.5 / 30, speed), speed - np.arange(1, 60) * acceleration / 30])
     ahead = np.maximum(ahead, 0.0)[: 90 + FRAMES * EVERY - 6]
     return ahead, np.zeros(len(ahead))
 
 
 def curve(speed: float, turn: float) -> Track:
-    """A quarter of a circle, walking."""
+    """Return the track of a person who walks a quarter of a circle."""
     ahead = np.minimum(np.arange(60 + FRAMES * EVERY) * 1.5 / 30, speed)
     return ahead, np.where(np.arange(len(ahead)) > 66, turn, 0.0)
 
 
 def turn(rate: float) -> Track:
-    """On the spot."""
+    """Return the track of a person who turns on the spot."""
     steps = FRAMES * EVERY
     return np.zeros(steps), np.where((np.arange(steps) > 4) & (np.arange(steps) < 34), rate, 0.0)
 
@@ -73,7 +73,7 @@ ROWS: dict[str, Callable[[], Track]] = {
 
 
 def steady(speed: float) -> Track:
-    """A walk that goes on."""
+    """Return the track of a steady walk."""
     ahead = np.minimum(np.arange(60 + FRAMES * EVERY) * 1.1 / 30, speed)
     return ahead, 0 * ahead
 
@@ -82,7 +82,7 @@ WALK_ROWS = (start(1.3, 1.1), steady(1.3), stop(1.3, 1.1), curve(1.2, 1.0), turn
 
 
 def own_walk(speed: float = 1.2, fps: float = 60.0, seconds: float = 4.0) -> Motion:
-    """Returns the walk of male_1, whose left arm is held out to the side."""
+    """Return the walk of male_1, whose left arm is held out to the side."""
     body, count = load_humanoid("male_1"), round(seconds * fps)
     way = np.arange(count) * speed / fps
     quats, pelvis = body.walk_pose(np.full(count, speed), way / body.stride_m(speed))
@@ -94,7 +94,7 @@ def own_walk(speed: float = 1.2, fps: float = 60.0, seconds: float = 4.0) -> Mot
 
 
 def row_picture(body: Humanoid, track: Track, *, look: float = 0.0) -> NDArray[np.uint8]:
-    """The last frames of a track side by side, RGB [H, W, 3]."""
+    """Return the last frames of a track side by side, RGB [H, W, 3]."""
     speed, turning = track
     heading = np.cumsum(turning) / 30
     xz = np.cumsum(np.stack([speed * np.cos(heading), -speed * np.sin(heading)], -1), axis=0) / 30
@@ -110,7 +110,7 @@ def row_picture(body: Humanoid, track: Track, *, look: float = 0.0) -> NDArray[n
 
 
 def main(target: str, motion: str = "") -> None:
-    """Writes the sheet."""
+    """Write the sheet."""
     with tempfile.TemporaryDirectory() as folder:
         if motion == OWN:
             motion = str(Path(folder) / "own.npz")

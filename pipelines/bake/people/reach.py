@@ -23,25 +23,25 @@ from h3data.kernels import kernel, kernel_part
 log = logging.getLogger(__name__)
 
 SOLVED_FOR = ("male_2", "male_1", "neutral_0", "male_3")
-"""Short arms, long arms, between, and long feet."""
+"""Bodies for which the table is solved: with short arms, long arms, medium arms, and long feet."""
 LOW, HIGH, COUNTS = (-0.60, 0.02, -0.04), (0.24, 1.46, 0.68), (9, 13, 9)
 """Box of targets: left, up, forward, in heights of the standing shoulder (1.4 m for somebody of 1.76 m)."""
 SWEEPS, STEPS = 20, 3
 LIKENESS = 0.35
-"""Weight of the difference between neighbours."""
+"""Weight of the difference between the postures of neighbouring points."""
 UNIT = 1 / 8192
 """Parameters are stored in whole units of this (int16): 0.2 mm, 0.007 degrees."""
 EFFORT = np.array([50.0, 4, 40, 2.0, 0.7, 2.5, 0.45, 0.45, 0.60, 1.2, 1.2])
 """Weights of pelvis shift (per shoulder height squared), pelvis turn, spine and collar."""
 UPPER = np.array([9.0, 9, 9, 1.40, 0.60, 0.20, 1.30, 0.65, 0.55, 0.35, 0.38])
 LOWER = np.array([-9.0, -9, -9, -0.12, -0.60, -0.20, -0.30, -0.65, -0.55, -0.35, -0.38])
-"""Limits of the same [rad]."""
+"""Upper and lower limits of pelvis shift (shoulder heights), and of pelvis turn, spine and collar [rad]."""
 SHOULDER_EFFORT = np.array([0.10, 0.10, 0.10])
 ELBOW_EASE, ELBOW_EFFORT = 0.6, 0.04
-"""The flexion [rad] that costs nothing."""
+"""Elbow flexion that costs no effort [rad], and effort beyond it."""
 POLE_EFFORT = 0.15
 NATURAL_POLE = (-0.45, -0.6, -0.65)
-"""Elbows like to point out, down and back (chest frame, right arm)."""
+"""Preferred direction of the right elbow in the chest frame: out, down and back."""
 PER_BODY = 14
 
 
@@ -138,7 +138,7 @@ def _sweep(bodies, table, low, step, steps, down, likeness, effort, lower, upper
 
 
 def solve_table(bodies: tuple[ReachBody, ...]) -> Table:
-    """The postures of the right hand, from standing everywhere."""
+    """Return the postures of the right hand, from standing everywhere."""
     low, counts = np.array(LOW), np.array(COUNTS)
     step = (np.array(HIGH) - low) / (counts - 1)
     values = np.zeros((*COUNTS, k.PARAMETER_COUNT))
@@ -152,7 +152,7 @@ def solve_table(bodies: tuple[ReachBody, ...]) -> Table:
 
 
 def main() -> None:
-    """Solve, report what share of the box each body reaches, and write."""
+    """Solve the table, report the share of the box that each body reaches, and write the file."""
     table = solve_table(tuple(reach_body(load_humanoid(name), "right") for name in SOLVED_FOR))
     points = np.random.default_rng(0).uniform(0, 1, (20000, 3)) * (np.array(COUNTS) - 1) * table.step + table.low
     for name in humanoid_names():

@@ -21,7 +21,7 @@ PELVIS_ABOVE_HIPS_M = 0.02
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rig:
-    """A body on our skeleton, in the body frame, standing on y = 0."""
+    """Body on our skeleton in the body frame, standing on y = 0."""
 
     vertices: Array
     """Rest mesh in A-pose, shape [V, 3] [m]."""
@@ -48,7 +48,7 @@ class Rig:
 
 
 def bone_to_joint() -> dict[str, str]:
-    """Which SMPL-X joint carries each bone of the rig ``anny``."""
+    """Return the SMPL-X joint of each bone of the rig ``anny``."""
     table = {"root": "pelvis", "pelvis.L": "pelvis", "pelvis.R": "pelvis", "spine05": "pelvis", "spine04": "spine1"}
     table |= {"spine03": "spine2", "spine02": "spine3", "spine01": "spine3", "head": "head"}
     table |= {f"neck0{k}": "neck" for k in (1, 2, 3)}
@@ -78,7 +78,7 @@ def bone_to_joint() -> dict[str, str]:
 
 
 def build_rig(raw: RawShape) -> Rig:
-    """The raw shape on our skeleton."""
+    """Return the raw shape on our skeleton."""
     vertices = raw.vertices @ Z_UP_TO_Y_UP.T
     heads = raw.bone_heads @ Z_UP_TO_Y_UP.T
     floor = vertices[:, 1].min()
@@ -147,7 +147,7 @@ def _swing_chain(rotations: Array, positions: Array, chain: list[str], axis: Arr
 
 
 def smallest_rotation(start: Array, end: Array) -> Array:
-    """Rotation matrix [3, 3] that turns direction ``start`` [3] into ``end`` [3] the short way (not for opposite ones)."""
+    """Return the smallest rotation [3, 3] from direction ``start`` [3] to ``end`` [3], which are not opposite."""
     a, b = normalized(start), normalized(end)
     x, y, z = np.cross(a, b)
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -159,7 +159,7 @@ STOOP = {"spine1": 0.08, "spine2": 0.30, "spine3": 0.66, "neck": 1.0, "head": 1.
 
 
 def stooped(rig: Rig, amount_m: float) -> Rig:
-    """Returns the rig with a bent trunk: the neck moves forward by ``amount_m``, and the head sinks by a fifth of it."""
+    """Return the rig with a bent trunk: the neck moves forward by ``amount_m``, and the head sinks by a fifth of it."""
     if not amount_m:
         return rig
     share = np.zeros(JOINT_COUNT)

@@ -1,8 +1,8 @@
 """Bakes ``datasets/bodies/shape_space.toml``: principal directions of the shapes of all built-in bodies.
 
-``python -m bake.people.shape_space`` (needs the built-in bodies, and nothing else). A direction is a row of weights of these
-bodies that sum to 0, scaled so that a step of 1 along it is one standard deviation; weights are rounded to six digits, so that
-everybody has the same people, whatever their linear algebra.
+``python -m bake.people.shape_space`` (needs the built-in bodies, and nothing else). A direction is a row of weights of
+these bodies that sum to 0, scaled so that a step of 1 along it is one standard deviation; weights are rounded to six
+digits, so that all machines get the same people, independent of their linear algebra library.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from h3data.builtin import builtin_root
 
 
 def main() -> None:
-    """Writes the file and says how much of the variance the directions hold."""
+    """Write the file and print the share of variance that the directions explain."""
     names = humanoid_names()
     shapes = [VERTEX_UNIT_M * from_planes(_builtin_arrays(name)["base_delta"]).astype(np.float64) for name in names]
     off_mean = np.stack([shape.ravel() for shape in shapes])

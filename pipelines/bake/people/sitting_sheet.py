@@ -23,7 +23,7 @@ WOOD = (150, 110, 80)
 
 
 def chair(sitting: Sitting, depth_m: float = 0.46) -> list[Mesh]:
-    """A seat and its backrest behind a person, in the agent root frame."""
+    """Return a seat and its backrest behind a person, in the agent root frame."""
     edge, top = sitting.edge_m, sitting.seat_m
     return [
         box_mesh((depth_m / 2, 0.02, 0.23), center=(edge - depth_m / 2, top - 0.02, 0), color=WOOD),
@@ -37,7 +37,7 @@ def chair(sitting: Sitting, depth_m: float = 0.46) -> list[Mesh]:
 
 
 def main(out: str) -> None:
-    """Renders the sheet."""
+    """Render the sheet."""
     rows = []
     for name, height in STAGES:
         sitting = sitting_on(load_humanoid(name), height)

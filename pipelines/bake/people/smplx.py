@@ -27,7 +27,7 @@ KEYS = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f
 
 
 def read_smplx(path: Path, betas: Sequence[float] = ()) -> Rig:
-    """The shape with these coefficients in its T-pose, standing on y = 0.
+    """Return the shape with these coefficients in its T-pose, standing on y = 0.
 
     Raises:
         FormatError: the file is no SMPL-X model, or its skeleton is another one (SMPL and SMPL-H have fewer joints).

@@ -1,9 +1,10 @@
-"""docs/pictures/strides.jpg: a person who walks curves, frame by frame, and the way that they took, from above.
+"""docs/pictures/strides.jpg: a person who walks curves, frame by frame, and their path from above.
 
     python -m bake.people.stride_sheet docs/pictures/strides.jpg
 
-Rows: setting off with the goal behind, a corner, waiting for somebody and going on. Frames are 1/6 s apart; the person is seen
-from a side that turns with the first frame of a row. Below: two minutes in a home, by the paper's walk (left) and by strides.
+Rows: setting off with the goal behind, a corner, waiting for somebody and going on. Frames are 1/6 s apart; the person
+is seen from a side that turns with the first frame of a row. Below: two minutes in a home, by the paper's walk (left)
+and by strides.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ HOME, STEPS, PX_PER_M = "small:1", 3600, 80
 
 
 def strip(body: Humanoid, track: Array, first: int) -> NDArray[np.uint8]:
-    """Frames of a track (x, z, heading) [T, 3] from step ``first`` on, side by side."""
+    """Return frames of a track (x, z, heading) [T, 3] from step ``first`` on, side by side."""
     states = planted_states(body.gait_tables, ground_pose(track[:, :2], track[:, 2]))
     quats, pelvis = pose_planted(body.gait_tables, states)
     pictures = []
@@ -45,12 +46,12 @@ def strip(body: Humanoid, track: Array, first: int) -> NDArray[np.uint8]:
 
 
 def open_floor() -> FreeSpace:
-    """The map of a home whose middle has room."""
+    """Return the floor of a home with free space in its middle."""
     return FreeSpace.from_scene(h3data.open(HOME), radius_m=0.25, height_m=1.41)
 
 
 def pursued(free: FreeSpace, path: Array, heading: float, *, waits: range = range(0)) -> Array:
-    """The steps along a path, standing for a second before and after."""
+    """Return the steps along a path, standing for a second before and after."""
     strider = Strider(free, NATURAL_WALKER, halts=True)
     strider.begin(path)
     rows, gait = [np.array([*path[0], heading])] * 31, HumanState.zeros(1)
@@ -62,7 +63,7 @@ def pursued(free: FreeSpace, path: Array, heading: float, *, waits: range = rang
 
 
 def plan(free: FreeSpace, spec: WalkerSpec) -> NDArray[np.uint8]:
-    """The way of a script's person from above; where they turn on the spot, a red dot."""
+    """Return the path of a scripted person from above, with red dots where they turn on the spot."""
     import cv2
 
     walkable = (free.sdf > 0).astype(np.uint8) * 40 + 215
@@ -87,7 +88,7 @@ def plan(free: FreeSpace, spec: WalkerSpec) -> NDArray[np.uint8]:
 
 
 def main(target: str) -> None:
-    """Writes the sheet."""
+    """Write the sheet."""
     import cv2
 
     body, free = load_humanoid("neutral_0"), open_floor()

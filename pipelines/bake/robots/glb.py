@@ -12,7 +12,7 @@ from h3data.srgb import bytes_to_linear
 
 
 def write_link_glb(path: Path, mesh: Mesh) -> None:
-    """Writes a mesh with normals and without textures; the same mesh gives the same bytes."""
+    """Write a mesh with normals and without textures; the same mesh gives the same bytes."""
     assert mesh.normals is not None
     palette, index = np.unique(mesh.colors, axis=0, return_inverse=True)
     face_color = index.ravel()[mesh.faces[:, 0]]

@@ -97,7 +97,7 @@ def base() -> tuple[Link, ...]:
 
 
 def arm() -> tuple[Link, ...]:
-    """The carriage on the mast, four stages one in the other."""
+    """Return the carriage on the mast, four stages one in the other."""
     carriage = (
         solid(box_points((0.10, 0.10, 0.13), bevel=0.015, center=(MAST_X, MAST_Y, 0)), GRAPHITE),
         solid(box_points((0.074, 0.24, 0.084), bevel=0.016, center=(MAST_X, MAST_Y - 0.10, 0)), IVORY),
@@ -264,7 +264,7 @@ def head() -> tuple[Link, ...]:
 
 
 def design() -> Design:
-    """The whole robot, arm drawn in at the height of a table, hand and head looking forward and a little down."""
+    """Return the whole robot, arm drawn in at the height of a table, hand and head looking forward and a little down."""
     dip = np.radians(8)
     ahead = (0.0, -float(np.cos(dip)), -float(np.sin(dip)))
     return Design(

@@ -28,7 +28,7 @@ class Link:
     axis: Vector = (0.0, 1.0, 0.0)
     limits: tuple[float, float] = (0.0, 0.0)
     mimic: tuple[str, float] | None = None
-    """The joint that leads this one, and how many times as far this one goes."""
+    """Name of the joint that this joint follows, and the ratio of their motions."""
     mesh: tuple[Mesh, ...] = ()
     collision: tuple[str, ...] = ()
     """URDF text of the collision elements."""
@@ -36,7 +36,7 @@ class Link:
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """A camera on a link."""
+    """Camera on a link of a robot's design."""
 
     name: str
     link: str
@@ -51,7 +51,7 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """A robot before it is files."""
+    """Design of a robot, from which its files are written."""
 
     name: str
     links: tuple[Link, ...]
@@ -77,7 +77,7 @@ def box_collision(size: Sequence[float], center: Sequence[float] = (0, 0, 0)) ->
 
 
 def capsule_collision(start: Sequence[float], end: Sequence[float], radius: float) -> str:
-    """A capsule between two points; ``radius`` at both ends."""
+    """Return a capsule between two points; ``radius`` at both ends."""
     a, b = np.asarray(start, float), np.asarray(end, float)
     way = b - a
     length = float(np.linalg.norm(way))
@@ -91,5 +91,5 @@ def _collision(shape: str, center: Sequence[float] | np.ndarray, rpy: Sequence[f
 
 
 def text(values: Sequence[float] | np.ndarray) -> str:
-    """Numbers as URDF has them."""
+    """Return numbers as URDF has them."""
     return " ".join(f"{round(float(v), 6) + 0.0:g}" for v in values)

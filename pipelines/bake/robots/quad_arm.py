@@ -382,7 +382,7 @@ LEGS = tuple(
 
 
 def design() -> Design:
-    """The whole robot; its joints are in Habitat's order."""
+    """Return the whole robot; its joints are in Habitat's order."""
     legs = [part for name, front, left in LEGS for part in leg(name, front, left)]
     return Design(
         name="quad_arm",

@@ -14,7 +14,7 @@ CREASE_DEG = 32.0
 
 
 def box_points(size: Sequence[float], *, bevel: float, center: Sequence[float] = (0, 0, 0)) -> Array:
-    """The 24 corners of a box with bevelled edges [24, 3]."""
+    """Return the 24 corners of a box with bevelled edges [24, 3]."""
     half = np.asarray(size, np.float64) / 2
     signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     corners = [signs * (half - bevel * (1 - np.eye(3)[axis])) for axis in range(3)]
@@ -30,7 +30,7 @@ def disc_points(
     bevel: float = 0.006,
     sides: int = 18,
 ) -> Array:
-    """A bevelled disc (short cylinder) about a coordinate axis [4 sides, 3]."""
+    """Return a bevelled disc (short cylinder) about a coordinate axis [4 sides, 3]."""
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     rows = []
@@ -43,14 +43,14 @@ def disc_points(
 
 
 def ball_points(radius: float, *, center: Sequence[float] = (0, 0, 0), sides: int = 12) -> Array:
-    """A sphere of rings [N, 3]."""
+    """Return a sphere of rings [N, 3]."""
     v, u = np.meshgrid(np.linspace(0, np.pi, sides // 2 + 1), np.linspace(0, 2 * np.pi, sides, endpoint=False))
     ball = np.stack([np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)], axis=-1).reshape(-1, 3)
     return radius * np.unique(np.round(ball, 9), axis=0) + np.asarray(center)
 
 
 def solid(points: Sequence[Array] | Array, color: Color) -> Mesh:
-    """The convex hull of all points, smooth where faces meet at less than `CREASE_DEG`."""
+    """Return the convex hull of all points, smooth where faces meet at less than `CREASE_DEG`."""
     from scipy.spatial import ConvexHull
 
     cloud = points if isinstance(points, np.ndarray) else np.concatenate(list(points))
@@ -62,7 +62,7 @@ def solid(points: Sequence[Array] | Array, color: Color) -> Mesh:
 
 
 def creased(vertices: Array, faces: np.ndarray, color: Color) -> Mesh:
-    """A mesh whose corners average the normals of those faces at their vertex that lean less than `CREASE_DEG` from theirs."""
+    """Return a mesh with corner normals averaged over faces that differ by less than `CREASE_DEG`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
     unit = normalized(cross)

@@ -37,12 +37,12 @@ Track = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """A part of a recording in which something happens."""
+    """Part of a recording in which an event happens."""
 
     score: float
     first: int
     last: int
-    """Steps, both included."""
+    """First and last step of the moment, both included."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +50,11 @@ class Motion:
     """Movements of the robot and the person of a recording; arrays have a row for each agent, robot first."""
 
     places: Track
-    """[2, T, 2] [m]."""
+    """Floor positions (x, z) of both agents, shape [2, T, 2] [m]."""
     moved: Track
     """Distance in each step, [2, T] [m]."""
     forward: Track
-    """Distance along the own heading in each step, [2, T] [m]."""
+    """Distance along the agent's heading in each step, shape [2, T] [m]."""
     away: Track
     """Distance between the agents, [T] [m]."""
     touching: NDArray[np.bool_]
@@ -64,7 +64,7 @@ class Motion:
 
     @classmethod
     def of(cls, recording: Recording, rooms: Sequence[Room]) -> Motion:
-        """Reads the motion of a recording of one robot and one person."""
+        """Read the motion of a recording of one robot and one person."""
         pose = np.stack([recording.columns[f"agent_{k}.base_pose"].astype(np.float64) for k in (ROBOT, PERSON)])
         places = pose[..., [0, 2]]
         heading = 2 * np.arctan2(pose[..., 4], pose[..., 6])
@@ -85,7 +85,7 @@ class Motion:
 
 
 def room_of(places: Track, rooms: Sequence[Room]) -> NDArray[np.int64]:
-    """Number of the room at each place [..., 2]; -1: none."""
+    """Return number of the room at each place [..., 2]; -1: none."""
     found = np.full(places.shape[:-1], -1)
     x, z = places[..., 0], places[..., 1]
     for k, room in enumerate(rooms):
@@ -95,14 +95,14 @@ def room_of(places: Track, rooms: Sequence[Room]) -> NDArray[np.int64]:
 
 
 def windows(values: NDArray[Any], steps: int, reduce: Callable[..., Any] = np.sum) -> Track:
-    """Reduces each window of some steps; [T - steps + 1], empty if there are fewer steps."""
+    """Return ``reduce`` of each window of ``steps`` steps, shape [T - steps + 1]; empty if there are fewer steps."""
     if len(values) < steps:
         return np.zeros(0)
     return reduce(np.lib.stride_tricks.sliding_window_view(values, steps, axis=0), axis=-1)
 
 
 def best(scores: Track, steps: int) -> list[Moment]:
-    """The window with the highest score, if any has one above 0."""
+    """Return the window with the highest score, if any has one above 0."""
     if not len(scores) or scores.max() <= 0:
         return []
     first = int(scores.argmax())
@@ -111,7 +111,7 @@ def best(scores: Track, steps: int) -> list[Moment]:
 
 # --- events -----------------------------------------------------------------------------------------------------------
 def backs_up_at_a_door(recording: Recording, motion: Motion) -> list[Moment]:
-    """The robot drives backwards for 0.4 m or more before a person who comes through a door towards it."""
+    """Find where the robot drives backwards for 0.4 m or more before a person who comes through a door towards it."""
     steps = 120
     near = motion.away < 2.0
     back = windows(np.where(near, np.maximum(-motion.forward[ROBOT], 0), 0), steps)
@@ -121,7 +121,7 @@ def backs_up_at_a_door(recording: Recording, motion: Motion) -> list[Moment]:
 
 
 def gives_way(recording: Recording, motion: Motion) -> list[Moment]:
-    """The robot is in the path of a walking person, moves aside by 0.25 m or more, and is passed without a touch."""
+    """Find where the robot moves aside by 0.25 m or more for a walking person, who passes without a touch."""
     del recording
     half = 60  # of the steps of a film
     found = []
@@ -147,7 +147,7 @@ def gives_way(recording: Recording, motion: Motion) -> list[Moment]:
 
 
 def fetches_what_is_left(recording: Recording, motion: Motion) -> list[Moment]:
-    """The robot brings an object to its goal that the person never brings: their plan is the other one alone."""
+    """Find where the robot brings an object to its goal that the person never brings: their plan is the other one alone."""
     if recording.episode.info.get("partner") not in ("object_1", "object_2"):
         return []
     picks = {(e.agent, e.target): e.step for e in recording.events if e.kind == "pick"}
@@ -163,7 +163,7 @@ def fetches_what_is_left(recording: Recording, motion: Motion) -> list[Moment]:
 
 
 def waits(recording: Recording, motion: Motion) -> list[Moment]:
-    """The robot stands still for a second or more while a person walks past it within 2 m, and then drives on."""
+    """Find where the robot stands still for a second or more while a person walks past it within 2 m, and then drives on."""
     del recording
     still = motion.moved[ROBOT] < 0.05 / FPS
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
@@ -182,7 +182,7 @@ def waits(recording: Recording, motion: Motion) -> list[Moment]:
 
 
 def follows_around_a_corner(recording: Recording, motion: Motion) -> list[Moment]:
-    """The robot stays 1 to 2 m from a person who turns by 70 degrees or more and goes into another room."""
+    """Find where the robot stays 1 to 2 m from a person who turns by 70 degrees or more and goes into another room."""
     steps, leg = 150, 40
     found = []
     inside = windows((motion.away > 1.0) & (motion.away < 2.0), steps, np.mean)
@@ -225,7 +225,7 @@ FILMS: dict[str, tuple[Callable[[Recording, Motion], list[Moment]], str]] = {
 
 # --- films ------------------------------------------------------------------------------------------------------------
 def above(replay: Replay, motion: Motion, moment: Moment) -> CameraTrack:
-    """A camera that stands above all places of both agents in a moment, without ceilings."""
+    """Return a camera that stands above all places of both agents in a moment, without ceilings."""
     there = motion.places[:, moment.first : moment.last + 1].reshape(-1, 2)
     low, high = there.min(0) - 0.8, there.max(0) + 0.8
     (x, z), (width, depth) = (low + high) / 2, high - low
@@ -242,7 +242,7 @@ def above(replay: Replay, motion: Motion, moment: Moment) -> CameraTrack:
 
 
 def film(recording: Recording, moment: Moment, camera: str, file: Path) -> int:
-    """Renders a moment; returns the number of steps between frames."""
+    """Render a moment; returns the number of steps between frames."""
     replay = Replay(recording, light="baked")
     every = max(-(-(moment.last - moment.first + 1) // FRAMES), 3)
     if camera == "above":
@@ -256,7 +256,7 @@ def film(recording: Recording, moment: Moment, camera: str, file: Path) -> int:
 
 
 def main(out: Path, folders: Sequence[str], only: Sequence[str] = ()) -> None:
-    """Finds the moments, prints where they are, and renders a film of each."""
+    """Find the moments, prints where they are, and renders a film of each."""
     datasets = {folder: Dataset(folder) for folder in folders}
     episodes = [(folder, k) for folder, data in datasets.items() for k in range(len(data))]
     found: dict[str, list[tuple[float, str, int, Moment]]] = {name: [] for name in FILMS}

@@ -17,7 +17,7 @@ COLOR, FAINT = "#30638e", "#dddddd"
 
 
 def main(out: str) -> None:
-    """Draws a table of dots and intervals for each benchmark that has baselines."""
+    """Draw a table of dots and intervals for each benchmark that has baselines."""
     boards = [board for label in benchmark_labels() if (board := leaderboard(find_benchmark(label), ())).entries]
     columns = max(len(board.benchmark.file.metrics) for board in boards)
     height = sum(ROW_PX * (len(board.entries) + 2) + GAP_PX for board in boards)

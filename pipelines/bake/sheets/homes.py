@@ -57,7 +57,7 @@ def _grid(cells: Sequence[Picture], columns: int) -> Picture:
 
 # --- kinds ------------------------------------------------------------------------------------------------------------
 def kind_picture(kind: Kind, *, size_px: int = CELL_PX, look: Look = "mid_century", seed: int = 3) -> Picture:
-    """A kind of the second generation from the front, above and right, filling the picture."""
+    """Return a kind of the second generation from the front, above and right, filling the picture."""
     style = sample_look(np.random.default_rng(seed), plan_layout(HomeSpec(seed=0)), look)
     rng = np.random.default_rng(seed)
     if kind.role == "thing":
@@ -68,7 +68,7 @@ def kind_picture(kind: Kind, *, size_px: int = CELL_PX, look: Look = "mid_centur
 
 
 def mesh_picture(mesh: Mesh, *, size_px: int = CELL_PX) -> Picture:
-    """Picture of a mesh on a plain background, uint8 [size_px, size_px, 3]."""
+    """Return picture of a mesh on a plain background, uint8 [size_px, size_px, 3]."""
     low, high = mesh.bounds.astype(float)
     middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     eye = middle + 4.2 * radius * np.array([0.42, 0.42, 0.8])
@@ -81,7 +81,7 @@ def mesh_picture(mesh: Mesh, *, size_px: int = CELL_PX) -> Picture:
 
 
 def kinds_sheet() -> Picture:
-    """All kinds of the second generation."""
+    """Return all kinds of the second generation."""
     kinds = [k for k in KINDS.values() if k.model]
     cells = [kind_picture(k, seed=n, look=get_args(Look)[n % len(get_args(Look))]) for n, k in enumerate(kinds)]
     names = [k.name.replace("_", " ") for k in kinds]
@@ -90,7 +90,7 @@ def kinds_sheet() -> Picture:
 
 # --- homes ------------------------------------------------------------------------------------------------------------
 def room_pictures(home: Scene, categories: Sequence[str]) -> list[Picture]:
-    """Views of the first room of each category, in baked light."""
+    """Return views of the first room of each category, in baked light."""
     free = FreeSpace.from_scene(home)
     flat = render_scene(home)
     fixed = {instance.name for instance in home.static_instances}
@@ -106,7 +106,7 @@ def room_pictures(home: Scene, categories: Sequence[str]) -> list[Picture]:
 
 
 def styles_sheet() -> Picture:
-    """The living room and the kitchen of one home in every style."""
+    """Return the living room and the kitchen of one home in every style."""
     cells = []
     for look in get_args(Look):
         home = build_home(HomeSpec(seed=4, generation=2, style=look))
@@ -125,7 +125,7 @@ ROOMS: Sequence[tuple[HomeSpec, tuple[str, ...]]] = (
 
 
 def rooms_sheet() -> Picture:
-    """One room of each kind."""
+    """Return one room of each kind."""
     cells = []
     for spec, categories in ROOMS:
         for category, picture in zip(categories, room_pictures(build_home(spec), categories), strict=True):
@@ -134,7 +134,7 @@ def rooms_sheet() -> Picture:
 
 
 def generations_sheet() -> Picture:
-    """A medium and a large home of each generation from above."""
+    """Return a medium and a large home of each generation from above."""
     rows = []
     for preset, scale in (("medium", 46.0), ("large", 20.0)):
         cells = []
@@ -158,7 +158,7 @@ SHEETS: Mapping[str, Callable[[], Picture]] = {
 
 
 def main() -> None:
-    """Renders and writes the sheets."""
+    """Render and writes the sheets."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", help=f"some of {', '.join(SHEETS)} (default: all)")

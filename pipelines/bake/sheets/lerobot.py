@@ -22,7 +22,7 @@ SHOWN = (120, 170, 220, 270)
 
 
 def frames_of(folder: Path) -> list[NDArray[np.uint8]]:
-    """All frames of the only video below a folder, RGB [H, W, 3]."""
+    """Return all frames of the only video below a folder, RGB [H, W, 3]."""
     import av
 
     with av.open(str(next(folder.rglob("*.mp4")))) as video:
@@ -30,7 +30,7 @@ def frames_of(folder: Path) -> list[NDArray[np.uint8]]:
 
 
 def main(out: str) -> None:
-    """Makes the dataset, repeats its actions in its environment and draws both."""
+    """Make the dataset, repeats its actions in its environment and draws both."""
     with TemporaryDirectory() as name:
         source, demos = str(Path(name) / "ds"), Path(name) / "demos"
         options = f"--scenes medium:1 --seed {SEED} --episodes 1 --max-steps {STEPS} --cameras {CAMERA}@{SIDE}x{SIDE}"

@@ -21,7 +21,7 @@ from sim_kinematic.tasks.social_nav import SocialNav
 CAMERAS = ("third_person", "top_down")
 STEP, DOT_PX, COLOR = 150, (2, 1), (232, 30, 160)
 NEARER_M = 0.08
-"""Points are drawn if they are not farther than this behind the surface of their pixel."""
+"""Largest distance behind the surface of their pixel at which points are drawn [m]."""
 
 
 def picture(replay: Replay, scan: Scan, name: str) -> NDArray[np.uint8]:
@@ -50,7 +50,7 @@ def _pixels(camera: Camera, local: Array) -> tuple[NDArray[np.int64], NDArray[np
 
 
 def main(out: str) -> None:
-    """Plays an episode and writes the picture."""
+    """Play an episode and writes the picture."""
     recording = h3data.simulate(SocialNav, "small:1", seed=3, max_steps=STEP + 30, sensors=("lidar_legs", "lidar_3d"))
     replay = Replay(recording, light="baked")
     pictures = [picture(replay, scans_of(recording)[0], name) for name in CAMERAS]

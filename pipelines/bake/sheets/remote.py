@@ -30,7 +30,7 @@ Request = tuple[NDArray[np.uint8], NDArray[np.float64]]
 
 
 def answer(state: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A chunk [CHUNK, 2] of forward and turn for a robot that has the person at state[:2], distance [m] and angle [rad]."""
+    """Return a chunk [CHUNK, 2] of forward and turn, for a person at ``state[:2]``: distance [m], angle [rad]."""
     distance, angle = state[:2].tolist()
     forward = np.clip((distance - AWAY_M) * 0.6, -1, 1) if abs(angle) < 0.6 else 0.1
     turns = np.clip(-1.5 * angle * 0.85 ** np.arange(CHUNK), -1, 1)
@@ -38,7 +38,7 @@ def answer(state: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def requests() -> list[Request]:
-    """Plays an episode with a server of this process; returns the pictures and chunks of all requests."""
+    """Play an episode with a server of this process; returns the pictures and chunks of all requests."""
     seen: list[Request] = []
 
     def handle(connection: ServerConnection) -> None:
@@ -61,7 +61,7 @@ def requests() -> list[Request]:
 
 
 def plot(chunk: NDArray[np.float64]) -> Image.Image:
-    """The actions of a chunk as bars from -1 to 1."""
+    """Return the actions of a chunk as bars from -1 to 1."""
     picture = Image.new("RGB", (WIDTH, PLOT), "white")
     pen, middle, wide = ImageDraw.Draw(picture), PLOT // 2, WIDTH / (3 * CHUNK + 1)
     pen.line((0, middle, WIDTH, middle), "#999999")
@@ -75,7 +75,7 @@ def plot(chunk: NDArray[np.float64]) -> Image.Image:
 
 
 def main(out: str) -> None:
-    """Plays the episode and writes the picture."""
+    """Play the episode and writes the picture."""
     seen = requests()
     sheet = Image.new("RGB", ((WIDTH + 4) * PANELS - 4, WIDTH + 18 + PLOT), "white")
     for n, index in enumerate(np.linspace(FIRST, len(seen) - 5, PANELS).astype(int).tolist()):

@@ -27,7 +27,7 @@ CAMERAS = ("orbit", "robot/third_person")
 
 
 def write_tracks(episode: Recording, folder: Path) -> None:
-    """Writes tracks.csv (t, id, x, y), map.pgm and map.yaml, in the frame of ROS: x and -z of ours."""
+    """Write tracks.csv (t, id, x, y), map.pgm and map.yaml, in the frame of ROS: x and -z of ours."""
     lines = ["t,id,x,y"]
     for step in range(0, len(episode), EVERY):
         for k, agent in enumerate(episode.agents):
@@ -48,7 +48,7 @@ def write_tracks(episode: Recording, folder: Path) -> None:
 
 
 def main(out: str) -> None:
-    """Plays an episode, writes its tracks, imports them and writes the picture."""
+    """Play an episode, writes its tracks, imports them and writes the picture."""
     episode = h3data.simulate(CrowdNav, "small:1", roster=ROSTER, agents={"robot": "mpc"}, seed=5)
     with TemporaryDirectory() as name:
         folder = Path(name)

@@ -37,12 +37,12 @@ UPPER_M = 1.2
 
 
 def stairs_of(scene: Scene) -> Room:
-    """The room with the stairs."""
+    """Return the room with the stairs."""
     return next(room for room in scene.rooms if room.ramp is not None)
 
 
 def lit_renderer(scene: Scene) -> Renderer:
-    """A renderer of a home in its baked light."""
+    """Return a renderer of a home in its baked light."""
     flat = render_scene(scene)
     fixed = {instance.name for instance in scene.static_instances}
     static = [k for k, instance in enumerate(flat.instances) if instance.name in fixed]
@@ -51,7 +51,7 @@ def lit_renderer(scene: Scene) -> Renderer:
 
 
 def cutaway(scene: Scene, width: int, height: int) -> Camera:
-    """The home from above one side, without ceilings."""
+    """Return the home from above one side, without ceilings."""
     low, high = scene.bounds
     middle, span = (low + high) / 2, high - low
     eye = middle + np.array([-0.05 * span[0], 1.15 * span[0], 1.15 * span[0]])
@@ -60,7 +60,7 @@ def cutaway(scene: Scene, width: int, height: int) -> Camera:
 
 
 def on_landing(scene: Scene, *, upper: bool, width: int, height: int) -> Camera:
-    """The view of somebody who stands on a landing and looks along the stairs."""
+    """Return the view of somebody who stands on a landing and looks along the stairs."""
     room = stairs_of(scene)
     assert room.ramp is not None
     x0, z0, x1, z1 = room.rectangles[0].tolist()
@@ -74,7 +74,7 @@ def on_landing(scene: Scene, *, upper: bool, width: int, height: int) -> Camera:
 
 
 def home_sheet(scene: Scene) -> NDArray[np.uint8]:
-    """Cutaway, plan and both landings."""
+    """Return cutaway, plan and both landings."""
     import cv2
 
     renderer, free = lit_renderer(scene), FreeSpace.from_scene(scene)
@@ -95,7 +95,7 @@ def home_sheet(scene: Scene) -> NDArray[np.uint8]:
 
 
 def climbs(recording: Recording, agent: int) -> list[tuple[int, int, bool]]:
-    """First and last step of each time that an agent takes the whole stairs, and whether upwards."""
+    """Return first and last step of each time that an agent takes the whole stairs, and whether upwards."""
     y = recording.agent_column(agent, "base_pose")[:, 1].astype(np.float64)
     on = np.diff(np.concatenate([[False], (y > 0.02) & (y < y.max() - 0.02), [False]]).astype(int))
     spans = zip(np.flatnonzero(on == 1), np.flatnonzero(on == -1), strict=True)
@@ -105,7 +105,7 @@ def climbs(recording: Recording, agent: int) -> list[tuple[int, int, bool]]:
 def film(
     replay: Replay, agent: int, steps: Sequence[int], *, size: tuple[int, int], wide_m: float, aim_m: float
 ) -> NDArray[np.uint8]:
-    """Frames of an agent on the stairs from the side, the wall between cut away."""
+    """Return frames of an agent on the stairs from the side, the wall between cut away."""
     assert replay.scene is not None
     x1 = float(stairs_of(replay.scene).rectangles[0, 2])
     away, renderer = 8.0, replay.stage.renderer()
@@ -120,7 +120,7 @@ def film(
 
 
 def stairs_sheet(scene: Scene) -> NDArray[np.uint8]:
-    """Strips of two people and a robot."""
+    """Return strips of two people and a robot."""
     task, rows = find_task(Wander), []
     spec = replace(task.usage.dataset_rules, max_steps=900)
     found: dict[str, NDArray[np.uint8]] = {}
@@ -147,7 +147,7 @@ def stairs_sheet(scene: Scene) -> NDArray[np.uint8]:
 
 
 def main(folder: str) -> None:
-    """Draws both."""
+    """Draw both."""
     scene = build_home(HomeSpec(seed=SEED, generation=2, storeys=2))
     out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,7 @@
-"""Recordings as MCAP files of Foxglove's standard messages, for Foxglove and Lichtblick (needs ``h3data[foxglove]``).
+"""Export of recordings as MCAP files for Foxglove and Lichtblick (needs ``h3data[foxglove]``).
 
-The recording's own log opens there too, but shows numbers only; this file shows the home and everybody in it.
+The exported file shows the home and all agents. The log of a recording also opens in these viewers, but shows only
+numbers.
 """
 
 from __future__ import annotations
@@ -32,21 +33,21 @@ if TYPE_CHECKING:
     from mcap_protobuf.writer import Writer
 
 BLOCK_STEPS = 512
-"""Number of steps posed at once, so that memory does not grow with the recording."""
+"""Number of steps that are posed at once, so that memory does not grow with the recording."""
 Posed = Callable[[NDArray[np.integer]], Sequence[PosedPart]]
-"""Function that poses all parts at some steps: ``lambda steps: posed_parts(replay, steps)``."""
+"""Function that returns all parts, posed at some steps, such as ``lambda steps: posed_parts(replay, steps)``."""
 Pictures = Iterable[tuple[int, Sequence[NDArray[np.uint8]]]]
-"""Steps, in their order, with the sRGB picture [H, W, 3] of every camera."""
+"""Steps in order, each with the sRGB picture [H, W, 3] of every camera."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FoxgloveCamera:
-    """A camera with its poses, for images and calibration."""
+    """Camera with its poses, whose images and calibration are written to a file."""
 
     camera: Camera
-    """Intrinsics and name."""
+    """Intrinsics and name of the camera."""
     poses: Array
-    """Matrices 4x4 from the camera (OpenCV) to the world, [T, 4, 4], or [1, 4, 4] of a static camera."""
+    """Matrices from the camera (OpenCV axes) to the world, [T, 4, 4], or [1, 4, 4] for a static camera."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +70,20 @@ def write_foxglove(
 ) -> FoxgloveFile:
     """Write a ``.foxglove.mcap`` file whose messages are protobuf with their descriptors, at the times of the recorded log.
 
-    - ``/tf``: FrameTransforms. The root ``map`` has +Z up; ``world`` in it is the recording's, +Y up; in that every moving
+    - ``/tf``: FrameTransforms. The root ``map`` has +Z up; ``world`` in it is the recording's, +Y up; in that every
+      moving
       body, the root of every agent, and in these the links of robots and the joints of people. A message holds what has
       moved by more than 1e-6, once a second everything.
-    - ``/scene_update``: SceneUpdate with GLB models. Layers (``ceiling``) have topics below it, so that they can be switched
+    - ``/scene_update``: SceneUpdate with GLB models. Layers (``ceiling``) have topics below it, so that they can be
+      switched
       off, and so has everything that is away at times. People are cut into rigid pieces, one for each joint.
     - ``/agents/<name>/pose``: PoseInFrame; ``/agents/<name>/joints``: JointStates of robots.
-    - ``/agents/<name>/<sensor>``: LaserScan of a recorded laser scanner; rays that met nothing are infinite. PointCloud of one
+    - ``/agents/<name>/<sensor>``: LaserScan of a recorded laser scanner; rays that met nothing are infinite. PointCloud
+      of one
       of several lasers.
     - ``/metrics``: the per-step scalars, a message of our own to plot. ``/log``: Log, events, skills and raw input.
-    - ``/cam/<name>/calibration``: CameraCalibration of perspective cameras; ``/cam/<name>/video``: CompressedVideo (H.264).
+    - ``/cam/<name>/calibration``: CameraCalibration of perspective cameras; ``/cam/<name>/video``: CompressedVideo
+      (H.264).
 
     Raises:
         InputError: the name ends in something else, there is no step, or two cameras have one name.

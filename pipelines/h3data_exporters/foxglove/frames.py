@@ -7,8 +7,7 @@ import numpy as np
 from h3data.geometry import Array, pose_inverse, pose_multiply, quat_from_axis_angle
 
 ROOT, WORLD = "map", "world"
-"""Names of the root frame, with +Z up as viewers of these messages want it, and of the recording's world below it, with
-+Y up."""
+"""Names of the root frame, which has +Z up as these viewers expect, and of the recording's world below it, with +Y up."""
 _WORLD_IN_ROOT = np.concatenate([np.zeros(3), quat_from_axis_angle([1.0, 0, 0], np.pi / 2)])
 _MOVED = 1e-6
 """A frame is told of again when a coordinate [m] or quaternion component differs by more from what was told last."""
@@ -17,7 +16,7 @@ _WHOLE_NS = 1_000_000_000
 
 
 class FrameTree:
-    """Frames by index, each in the world or in an earlier frame."""
+    """Tree of frames by index, each in the world or in an earlier frame."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
@@ -26,7 +25,7 @@ class FrameTree:
         self._whole_ns: int | None = None
 
     def add(self, name: str, parent: int = -1) -> int:
-        """Return a new frame; -1 = in the world. Its name gets a number if it is taken."""
+        """Add a frame and return its index; parent -1 is the world, and a name that is taken gets a number."""
         taken, unique, number = {ROOT, WORLD, *self.names}, name, 1
         while unique in taken:
             number += 1
@@ -36,7 +35,7 @@ class FrameTree:
         return len(self.names) - 1
 
     def local(self, world: Array) -> Array:
-        """Return the poses (pose7) of all frames in their parents, from those in the world; both [T, F, 7], NaN if absent."""
+        """Return the poses of all frames in their parents, from world poses; both are [T, F, 7], NaN while absent."""
         out, parents = world.copy(), np.array(self._parents, np.intp)
         hung = np.flatnonzero(parents >= 0)
         out[:, hung] = pose_multiply(pose_inverse(world[:, parents[hung]]), world[:, hung])
@@ -49,7 +48,7 @@ class FrameTree:
         since they were last published.
 
         Args:
-            time_ns: time of the step.
+            time_ns: time of the step [ns].
             local: poses of all frames in their parents [F, 7].
 
         Returns:

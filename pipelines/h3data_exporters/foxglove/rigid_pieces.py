@@ -1,4 +1,4 @@
-"""Skinned meshes cut into rigid pieces, one for each joint: for programs that cannot skin."""
+"""Rigid pieces of skinned meshes, one for each joint, for programs that do not support skinning."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from h3data.mesh.mesh_operations import face_texture_indices
 from h3data_exporters.posed_parts import Skeleton
 
 SHARED = 0.3
-"""Least weight with which a triangle also belongs to a joint: pieces overlap at bent joints instead of gaping."""
+"""Least weight of a joint with which a triangle belongs to its piece; pieces overlap at bent joints to avoid gaps."""
 
 
 def rigid_pieces(mesh: Mesh, skeleton: Skeleton) -> list[tuple[int, Mesh]]:
     """Return ``(joint, piece in the frame of that joint)`` for each joint that moves any triangle.
 
-    The mesh is cut in the first posture of the skeleton (at rest, if it is not there then): in that one the pieces
-    together are the skinned mesh. In others a vertex that several joints move is off by as much as these disagree.
+    The mesh is cut in the first posture of the skeleton, or at rest if the first is NaN. In this posture the pieces
+    together equal the skinned mesh. In other postures, vertices with several joints are approximate.
     """
     joints, weights = skeleton.influences.joints, skeleton.influences.weights
     share = np.zeros((len(mesh.vertices), len(skeleton.names)), np.float32)

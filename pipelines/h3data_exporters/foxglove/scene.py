@@ -1,4 +1,4 @@
-"""Scene entities of a recording, attached to frames, and the poses of those frames."""
+"""Scene entities of a recording, attached to frames, with the poses of these frames."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Group:
 
     topic: str
     there: NDArray[np.bool_] | None
-    """True if the parts are in the world, [T]; None = always."""
+    """Mask of the steps in which the parts are in the world, shape [T]; None means all steps."""
     entities: list[messages.SceneEntity] = field(default_factory=list)
 
     def changes(self, step: int) -> bool:
@@ -49,7 +49,7 @@ class Group:
 
 
 class FoxgloveScene:
-    """The frames and entities of the parts of a recording, built from the parts at any steps."""
+    """Frames and entities of the parts of a recording."""
 
     def __init__(self, recording: Recording, parts: Sequence[PosedPart]) -> None:
         self.frames = FrameTree()
@@ -68,7 +68,7 @@ class FoxgloveScene:
         return self.frames.names[self._agents[agent]]
 
     def world_poses(self, steps: NDArray[np.integer], parts: Sequence[PosedPart]) -> Array:
-        """Return the poses (pose7) in the world of all frames of agents and present parts at ``steps``, [T, F, 7]."""
+        """Return the world poses of all frames of agents and present parts at ``steps``, shape [T, F, 7]."""
         columns = [self._recording.agent_column(i, "base_pose")[steps, None] for i in range(len(self._agents))]
         for part, count in zip(parts, self._of_part, strict=True):
             if count:

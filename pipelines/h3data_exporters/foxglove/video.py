@@ -1,4 +1,4 @@
-"""Pictures as H.264 packets of an endless stream: no container, each packet one picture, key frames that stand alone."""
+"""Encoder of pictures as an H.264 stream without container, with one picture per packet and independent key frames."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 
 KEY_FRAMES = 30
-"""Number of pictures from one key frame to the next. After a jump in time, a viewer waits for one."""
+"""Number of pictures from one key frame to the next; after a jump in time, a viewer waits for a key frame."""
 
 
 class PictureStream:
-    """Encodes the pictures of one camera, in their order; without B-frames, so that each gives its packet at once."""
+    """Encoder of one camera's pictures in order, without B-frames, so that each picture gives a packet at once."""
 
     def __init__(self, width: int, height: int) -> None:
         import av

@@ -1,4 +1,4 @@
-"""Random small objects on the receptacles of furniture."""
+"""Random small objects on the receptacles of furniture in generated homes."""
 
 from __future__ import annotations
 
@@ -35,10 +35,11 @@ def clutter(
     furniture: Sequence[tuple[Instance, Asset]],
     amount: float = 1.0,
 ) -> list[Instance]:
-    """Place small objects on the receptacles of ``furniture`` as kinematic instances, none overlapping.
+    """Place small objects on the receptacles of ``furniture`` as kinematic instances that do not overlap.
 
-    Every object stands inside its receptacle and fits under its clearance; bounding discs keep objects apart. ``amount``
-    scales the probability that a receptacle holds anything and, beyond 1, the largest number of objects on it.
+    Every object stands inside its receptacle and fits under its clearance, and bounding discs keep objects apart.
+    ``amount`` scales the probability that a receptacle holds an object and, above 1, the largest number of objects on
+    it.
     """
     out: list[Instance] = []
     count: dict[str, int] = {}

@@ -1,6 +1,6 @@
-"""Furniture as a parametric piece, and the helpers that build all pieces.
+"""Parametric pieces of furniture, and the helpers that build them.
 
-Asset frame: origin on the floor below the centre of the footprint, +Y up, front facing +Z.
+The asset frame has its origin on the floor below the centre of the footprint, +Y up, and the front facing +Z.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Furniture:
 
     category: str
     builder: MeshBuilder
-    """Function that builds the appearance; triangles are built only by `asset`, once the piece is placed."""
+    """Function that builds the visual mesh; `asset` calls it once the piece is placed."""
     shapes: tuple[Shape, ...]
     receptacles: tuple[Receptacle, ...]
     size: tuple[float, float, float]
@@ -43,8 +43,8 @@ class Furniture:
     wall_gap_m: float = 0.02
     """Distance from the back of the piece to the wall [m]."""
     opens: Callable[[int], Opening] | None = None
-    """Function that returns the same piece with doors and drawers that open, from the number of such pieces that have
-    been placed; None: nothing opens."""
+    """Function that returns the same piece with doors and drawers that open, given the number of such pieces already
+    placed; None if nothing opens."""
 
     @property
     def solid(self) -> bool:
@@ -53,7 +53,7 @@ class Furniture:
 
     @cached_property
     def outline(self) -> BaseGeometry:
-        """Footprint of its collision shapes within `HEAD_BAND`, in its own frame (x, z)."""
+        """Footprint of the collision shapes within `HEAD_BAND`, as polygons in the asset frame (x, z) [m]."""
         import shapely
 
         from h3data.scene.freespace._footprints import shape_footprint
@@ -94,14 +94,14 @@ def box_part(center: ArrayLike, size: ArrayLike) -> Box:
 
 
 def cylinder_part(center: ArrayLike, radius: float, height: float) -> Cylinder:
-    """Build an upright collision cylinder by its centre."""
+    """Build an upright collision cylinder by its centre, radius and height [m]."""
     pose = IDENTITY_POSE.copy()
     pose[:3] = center
     return Cylinder(pose=pose, radius=radius, half_height=height / 2)
 
 
 def surface(name: str, center: ArrayLike, size: ArrayLike, clearance: float) -> Receptacle:
-    """Build a receptacle by the centre of its surface, the full size along x and z, and the free height above it."""
+    """Build a receptacle from the centre of its surface, its full size along x and z, and the free height above it [m]."""
     return Receptacle(
         name=name, center=np.asarray(center, float), half_size=np.asarray(size, float) / 2, clearance_m=clearance
     )

@@ -1,4 +1,4 @@
-"""Furniture of bathrooms."""
+"""Models of bathroom furniture for generated homes."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def bathroom_sink(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def mirror(rng: np.random.Generator, style: Style, width: float = 0.6) -> Furniture:
-    """Return a wall mirror: origin at its centre, back at z = 0."""
+    """Return a wall mirror with its origin at its centre and its back at z = 0."""
     mesh, h = MeshBuilder(), 0.75
     mesh.span((-width / 2, -h / 2, 0.002), (width / 2, h / 2, 0.022), style.metal, bevel=0.004)
     mesh.span((-width / 2 + 0.02, -h / 2 + 0.02, 0.022), (width / 2 - 0.02, h / 2 - 0.02, 0.024), (206, 220, 226))
@@ -75,7 +75,7 @@ def mirror(rng: np.random.Generator, style: Style, width: float = 0.6) -> Furnit
 
 
 def mat(rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a bath mat: flat, without collision shapes."""
+    """Return a flat bath mat without collision shapes."""
     mesh, w, d, y = MeshBuilder(), 0.8, 0.5, 0.012
     pile = Finish(vary(rng, shade(style.accent, 1.15), 0.05), "carpet")
     mesh.span((-w / 2, 0, -d / 2), (w / 2, y, d / 2), pile, bevel=0.004)
@@ -116,7 +116,7 @@ def _at(point: tuple[float, float], y: float) -> tuple[float, float, float]:
 
 
 def shower(rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a corner shower: walls behind and on the left, a glass screen on the right, open at the front."""
+    """Return a corner shower with walls behind and on the left, a glass screen on the right, and an open front."""
     mesh, w, d, h = MeshBuilder(), 0.9, 0.9, 2.0
     mesh.span((-w / 2, 0, -d / 2), (w / 2, 0.06, d / 2), _PORCELAIN, bevel=0.01)
     mesh.cylinder((0, 0.0615, 0), 0.05, 0.004, style.metal, segments=14)
@@ -131,7 +131,7 @@ def shower(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def washer(rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a washing machine or dryer; the position of the knob varies."""
+    """Return a washing machine or dryer, whose knob has a random position."""
     mesh, w, d, h = MeshBuilder(), 0.6, 0.6, 0.86
     z = d / 2 - 0.03
     mesh.span((-w / 2, 0.02, -d / 2), (w / 2, h, z), _PORCELAIN, bevel=0.012)

@@ -1,4 +1,4 @@
-"""Bedroom furniture and the desk."""
+"""Models of bedroom furniture and of the desk for generated homes."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from h3data_homes.solids import MeshBuilder, shade, turn_x, vary
 from h3data_homes.style import Style
 
 DESK_DRAWERS = 0.4
-"""Width of the drawers on the right of a desk; a chair fits beside them [m]."""
+"""Width of the drawers on the right of a desk, next to which a chair fits [m]."""
 
 
 def bed(rng: np.random.Generator, style: Style, width: float = 1.6) -> Furniture:
-    """Return a bed with its head at the back (-z); top of the mattress at 0.53 m."""
+    """Return a bed with its head at the back (-z) and the top of its mattress at 0.53 m."""
     mesh, length, frame = MeshBuilder(), 2.12, style.wood
     z0 = -length / 2
     mesh.span((-width / 2, 0.0, z0), (width / 2, 1.02, z0 + 0.06), frame, bevel=0.012)

@@ -1,4 +1,7 @@
-"""Kitchen modules (600 mm deep with one worktop height, so that they line up) and the dining set."""
+"""Models of kitchen modules and of the dining set for generated homes.
+
+The modules are 600 mm deep and have the same worktop height, so that they line up.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ def _base(mesh: MeshBuilder, width: float, style: Style) -> None:
 def counter(
     rng: np.random.Generator, style: Style, width: float, kind: Literal["drawers", "doors", "sink"] = "doors"
 ) -> Furniture:
-    """Return a base cabinet with its section of worktop; ``sink`` has a basin and a tap."""
+    """Return a base cabinet with its section of worktop; kind ``sink`` has a basin and a tap."""
     mesh, half = MeshBuilder(), width / 2
     _base(mesh, width, style)
     low, high = 0.1, WORKTOP_HEIGHT - 0.04
@@ -158,7 +161,7 @@ def fridge(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furniture:
-    """Return a wall cabinet; its origin is on the floor, as for all furniture."""
+    """Return a wall cabinet, whose origin is on the floor below it, as for all furniture."""
     mesh, d, y0, y1 = MeshBuilder(), 0.34, 1.45, 2.15
     mesh.span((-width / 2, y0, -d / 2), (width / 2, y1, d / 2 - 0.02), shade(style.front, 0.92))
     _splashback(mesh, width, -d / 2, y0, style)
@@ -185,7 +188,7 @@ def _splashback(mesh: MeshBuilder, width: float, z: float, top: float, style: St
 
 
 def hood(rng: np.random.Generator, style: Style) -> Furniture:
-    """Return an extractor hood above the stove, up to the ceiling; its origin is on the floor, as for all furniture."""
+    """Return an extractor hood from above the stove to the ceiling, with its origin on the floor below it."""
     mesh, w, d, y0, y1 = MeshBuilder(), STOVE_WIDTH - 0.01, 0.48, 1.58, 1.64
     _splashback(mesh, STOVE_WIDTH, -d / 2, y0, style)
     steel = style.metal
@@ -248,7 +251,7 @@ def chair(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def island(rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a free-standing block of cabinets; the worktop overhangs at the back, where stools stand."""
+    """Return a free-standing block of cabinets, whose worktop overhangs at the back, where stools stand."""
     mesh, w, d, over = MeshBuilder(), rng.uniform(1.7, 2.2), 0.9, 0.26
     y, z0, z1 = WORKTOP_HEIGHT, -d / 2 + over, d / 2 - 0.03
     mesh.span((-w / 2, 0.1, z0), (w / 2, y - 0.04, z1 - 0.02), shade(style.front, 0.92), bevel=0.003)

@@ -1,4 +1,4 @@
-"""Living-room furniture."""
+"""Models of living-room furniture for generated homes."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def tv_stand(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def tv(rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a TV that stands on the TV stand: its origin is at the foot."""
+    """Return a TV that stands on a TV stand, with its origin at its foot."""
     mesh = MeshBuilder()
     w = rng.uniform(1.0, 1.22)
     h = w * 9 / 16
@@ -120,7 +120,7 @@ def tv(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def shelf(rng: np.random.Generator, style: Style, *, stores: bool = False) -> Furniture:
-    """Return an open shelf, partly filled with books or with ``stores`` (boxes and jars)."""
+    """Return an open shelf that is partly filled with books, or with boxes and jars if ``stores`` is true."""
     mesh = MeshBuilder()
     w, d, h, t = rng.uniform(0.8, 1.1), 0.32, rng.uniform(1.7, 2.0), 0.025
     wood = style.wood
@@ -159,7 +159,7 @@ def _shelf_shapes(w: float, h: float, d: float, t: float, levels: np.ndarray) ->
 
 
 def rug(rng: np.random.Generator, style: Style, size: tuple[float, float] | None = None) -> Furniture:
-    """Return a rug: flat, without collision shapes; its three borders are geometry."""
+    """Return a flat rug without collision shapes, whose three borders are geometry."""
     mesh = MeshBuilder()
     w, d = size if size is not None else (rng.uniform(1.9, 2.3), rng.uniform(1.4, 1.7))
     yarn, yarn_2 = Finish(style.accent, "carpet"), Finish(style.fabric_2, "carpet")
@@ -237,7 +237,7 @@ def _leaf(
 
 
 def picture(rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a framed picture: origin at its centre, back at z = 0."""
+    """Return a framed picture with its origin at its centre and its back at z = 0."""
     mesh = MeshBuilder()
     w, h = (rng.uniform(0.5, 0.8), rng.uniform(0.4, 0.6))[:: int(rng.choice([1, -1]))]
     mesh.span(
@@ -307,7 +307,7 @@ def console(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def ceiling_lamp(rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a ceiling lamp: its origin is the point where it is fixed."""
+    """Return a ceiling lamp, whose origin is the point at which it is fixed."""
     mesh = MeshBuilder()
     r = rng.uniform(0.16, 0.22)
     mesh.cylinder((0, -0.012, 0), 0.06, 0.024, style.metal, segments=12)

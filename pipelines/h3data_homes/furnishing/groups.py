@@ -31,11 +31,11 @@ from h3data_homes.style import Style
 
 
 class NoRoomError(SceneError):
-    """Error about a necessary piece of furniture that does not fit, so that another plan has to be tried."""
+    """Error about a necessary piece of furniture that does not fit, after which another plan is tried."""
 
 
 def backed(piece: Furniture, x: float = 0.0) -> Member:
-    """Return a piece with its back against the wall."""
+    """Return a group member with its back against the wall, at ``x`` along the wall [m]."""
     return Member(piece=piece, x=x, z=piece.wall_gap_m + piece.size[2] / 2)
 
 
@@ -83,8 +83,8 @@ def _with_other_fabrics(rng: np.random.Generator, style: Style) -> Style:
 def media_groups(rng: np.random.Generator, style: Style, depth: float, small: bool) -> list[list[Member]]:
     """Return variants of a group of TV stand, TV, rug, coffee table, sofa and, unless ``small``, an armchair.
 
-    ``depth`` is that of the room [m]: the sofa either stands at the opposite wall or leaves room to walk behind it. Empty
-    if the room is too shallow.
+    ``depth`` is the depth of the room [m]: the sofa either stands at the opposite wall or leaves room to walk behind
+    it. The result is empty if the room is too shallow.
     """
     stand, screen = living.tv_stand(rng, style), living.tv(rng, style)
     table, sofa = living.coffee_table(rng, style), living.sofa(rng, style)
@@ -119,7 +119,7 @@ def media_groups(rng: np.random.Generator, style: Style, depth: float, small: bo
 
 
 def talk_group(rng: np.random.Generator, style: Style, chairs: int) -> list[Member]:
-    """Build a group of two sofas facing each other across a table, or a sofa and up to two armchairs, centred on a rug."""
+    """Return a group centred on a rug: two sofas facing each other across a table, or a sofa and up to two armchairs."""
     style = _with_other_fabrics(rng, style)
     table, sofa = living.coffee_table(rng, style), living.sofa(rng, style)
     knee = float(rng.uniform(0.36, 0.42))
@@ -141,7 +141,7 @@ def talk_group(rng: np.random.Generator, style: Style, chairs: int) -> list[Memb
 def place_talk(rng: np.random.Generator, style: Style, state: RoomState) -> list[Placed] | None:
     """Place a free-standing sofa with armchairs.
 
-    It tries more often than other groups do, since large rooms look empty without such a group.
+    The function tries more positions than for other groups, because large rooms look empty without this one.
     """
     for chairs in (2, 2, 2, 1, 1):
         group = place_free(rng, state, talk_group(rng, style, chairs))
@@ -151,7 +151,7 @@ def place_talk(rng: np.random.Generator, style: Style, state: RoomState) -> list
 
 
 def place_rug(state: RoomState, rug: Furniture, by: Placed, distance: float) -> None:
-    """Place a rug in front of a piece of furniture, ``distance`` between their centres, shifted away from walls if needed."""
+    """Place a rug at ``distance`` [m] between centres in front of furniture, moved away from walls if needed."""
     dx, dz = turned(by.quarter, 0.0, distance)
     x, z = by.x + dx, by.z + dz
     x0, z0, x1, z1 = around(0.0, 0.0, rug.size[0] + 0.04, rug.size[2] + 0.04, by.quarter)
@@ -161,7 +161,7 @@ def place_rug(state: RoomState, rug: Furniture, by: Placed, distance: float) -> 
 
 
 def place_shelves(rng: np.random.Generator, style: Style, state: RoomState, count: int) -> None:
-    """Place up to ``count`` equal shelves side by side, filled with books or, in kitchens and the like, with supplies."""
+    """Place up to ``count`` equal shelves side by side, filled with books or, in service rooms, with supplies."""
     shelf = living.shelf(rng, style, stores=state.room.category in ("pantry", "laundry", "kitchen", "bathroom"))
     for n in range(count, 0, -1):
         if place_at_wall(rng, state, in_a_row([shelf] * n), middle=True):
@@ -169,7 +169,7 @@ def place_shelves(rng: np.random.Generator, style: Style, state: RoomState, coun
 
 
 def place_dining(rng: np.random.Generator, style: Style, state: RoomState, seats: Sequence[int]) -> list[Placed] | None:
-    """Place a table with chairs, for the first number of ``seats`` that fits, free-standing or with its end at a wall."""
+    """Place a table with chairs, free-standing or with its end at a wall, for the first of ``seats`` that fits."""
     for count in seats:
         table, chair = kitchen.dining_table(rng, style, count), kitchen.chair(rng, style)
         w, _, d = table.size
@@ -210,7 +210,7 @@ def place_desk(rng: np.random.Generator, style: Style, state: RoomState) -> list
 
 
 def hang(state: RoomState, piece: Furniture, side: int, u: float, y: float) -> bool:
-    """Hang a flat piece with its centre at height ``y``; False if an opening, tall furniture or another one is there."""
+    """Hang a flat piece with its centre at height ``y`` [m]; return False if something obstructs the wall there."""
     half = piece.size[0] / 2 + 0.1
     low, high = side_span(state.interior, side)
     if u - half < low or u + half > high:

@@ -1,4 +1,7 @@
-"""Small objects that stand on receptacles. Asset frame: origin at the centre of the bounding box, +Y up."""
+"""Models of small objects that stand on receptacles.
+
+The asset frame has its origin at the centre of the bounding box, and +Y up.
+"""
 
 from __future__ import annotations
 
@@ -134,7 +137,7 @@ def _fruit(category: str, r: float, squash: float, color: Color) -> Asset:
 
 
 def apple(rng: np.random.Generator, style: Style) -> Asset:
-    """Build an apple, red, green or orange-red."""
+    """Build a red, green or orange-red apple."""
     return _fruit("apple", 0.037, 0.92, vary(rng, [(190, 44, 40), (140, 176, 62), (212, 92, 48)][int(rng.integers(3))]))
 
 
@@ -174,7 +177,7 @@ AFFINITY: Mapping[str, tuple[str, ...]] = {
     "washer": ("box", "bottle"),
     "bench": ("book", "box"),
 }
-"""Categories of small objects by category of the furniture they are placed on."""
+"""Categories of small objects by the category of furniture on which they are placed."""
 
 
 def renamed(asset: Asset, name: str) -> Asset:

@@ -1,7 +1,8 @@
-"""Rules for placing furniture in one room such that agents can still walk everywhere. Positions come from `search`.
+"""Rules for placing furniture in one room such that agents can still walk everywhere.
 
-A group is given in a frame with z = 0 at the wall behind it, +z into the room and x = 0 at its centre. Side k of a room is
-the wall behind a piece turned by k quarters about +y: 0 = low z, 1 = low x, 2 = high z, 3 = high x.
+Candidate positions come from `search`. A group is given in a frame with z = 0 at the wall behind it, +z into the room
+and x = 0 at its centre. Side k of a room is the wall behind a piece turned by k quarters about +y: 0 = low z, 1 = low
+x, 2 = high z, 3 = high x.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
 WALK_RADIUS = 0.30
-"""Radius of the disc for which free space is checked: Habitat's humanoid (spec/habitat.md) [m]."""
+"""Radius of the disc for which free space is checked, that of Habitat's humanoid (spec/habitat.md) [m]."""
 PLAN_RADIUS = 0.305
 """Radius used while placing furniture; the margin over `WALK_RADIUS` keeps passages clear of rounding [m]."""
 GAP_BAND = (0.45, 0.60)
-"""Widths of gaps to avoid: 2 r - 5 cm to 2 r + 10 cm for r = 0.25 (research/navigation-and-stepping.md 2.4) [m]."""
+"""Widths of gaps to avoid [m]: 2 r - 5 cm to 2 r + 10 cm for r = 0.25 m (research/navigation-and-stepping.md 2.4)."""
 CRUMB_M2 = 0.002
 """Area below which pieces of cut-off floor or pockets are rounding errors [m2]."""
 _DOOR_DEPTH = 0.8
@@ -52,7 +53,7 @@ _FROM_ANYWHERE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Member:
-    """Piece of a group, in the group's frame."""
+    """Piece of a furniture group, in the group's frame."""
 
     piece: Furniture
     x: float = 0.0
@@ -65,7 +66,7 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """Piece of furniture with its place in the world."""
+    """Piece of furniture with its position in the world."""
 
     piece: Furniture
     room: str
@@ -79,20 +80,20 @@ class Placed:
 
 @dataclass
 class RoomState:
-    """The furniture placed in a room so far, and the constraints on further pieces."""
+    """State of a room during furnishing: the furniture placed so far, and the constraints on further pieces."""
 
     room: RoomPlan
     doors: list[tuple[int, Opening]]
     """Pairs (side, opening) of doors and wide openings."""
     windows: list[tuple[int, Opening]]
     keep: list[Rect]
-    """Floor that stays free in front of doors."""
+    """Rectangles of floor that stay free in front of doors."""
     placed: list[Placed] = field(default_factory=list)
     solids: list[Rect] = field(default_factory=list)
     fronts: list[Rect] = field(default_factory=list)
     rugs: list[Rect] = field(default_factory=list)
     goals: list[tuple[Rect, float]] = field(default_factory=list)
-    """Edges (flat rectangles) that walkers must be able to approach, and the distance within which [m]."""
+    """Edges (flat rectangles) that walkers must be able to approach, with the largest allowed distance [m]."""
     _free: BaseGeometry | None = None
 
     @property
@@ -102,7 +103,7 @@ class RoomState:
 
     @property
     def free(self) -> BaseGeometry:
-        """Floor minus obstacles, plus the doorways; not yet shrunk by a disc's radius."""
+        """Floor of the room minus obstacles, plus the doorways; it is not shrunk by the radius of an agent."""
         if self._free is None:
             self._free = _bare_floor(self)
         return self._free
@@ -113,7 +114,7 @@ class RoomState:
 
 
 def room_state(layout: Layout, room: RoomPlan) -> RoomState:
-    """Return an empty room with its doors and windows."""
+    """Return the state of an empty room with its doors and windows."""
     doors, windows, keep = [], [], []
     for o in layout.openings:
         if room.name not in o.rooms:
@@ -131,7 +132,7 @@ def room_state(layout: Layout, room: RoomPlan) -> RoomState:
 
 
 def strip(interior: Rect, side: int, low: float, high: float, depth: float) -> Rect:
-    """Return the rectangle along a wall that extends ``depth`` into the room."""
+    """Return the rectangle along a part of a wall that extends ``depth`` [m] into the room."""
     x0, z0, x1, z1 = interior
     if side == 0:
         return low, z0, high, z0 + depth
@@ -148,7 +149,7 @@ def side_span(interior: Rect, side: int) -> tuple[float, float]:
 
 
 def side_depth(interior: Rect, side: int) -> float:
-    """Return the distance from a wall to the opposite wall."""
+    """Return the distance from a wall to the opposite wall [m]."""
     return interior[3] - interior[1] if side % 2 == 0 else interior[2] - interior[0]
 
 
@@ -158,7 +159,7 @@ def turned(quarter: int, x: float, z: float) -> tuple[float, float]:
 
 
 def wall_point(interior: Rect, side: int, u: float) -> tuple[float, float]:
-    """Return the world (x, z) of the group frame's origin on a wall."""
+    """Return the world point (x, z) of a group frame's origin at position ``u`` along a wall [m]."""
     return ((u, interior[1]), (interior[0], u), (u, interior[3]), (interior[2], u))[side]
 
 
@@ -169,12 +170,12 @@ def around(x: float, z: float, width: float, depth: float, quarter: int) -> Rect
 
 
 def footprint(p: Placed) -> Rect:
-    """Return the plan rectangle of a piece, without its yaw."""
+    """Return the plan rectangle of a piece, ignoring its small additional yaw."""
     return around(p.x, p.z, p.piece.size[0], p.piece.size[2], p.quarter)
 
 
 def front_strip(p: Placed, depth: float) -> Rect:
-    """Plan rectangle in front of a piece."""
+    """Return the plan rectangle of a given depth [m] in front of a piece."""
     dx, dz = turned(p.quarter, 0.0, p.piece.size[2] / 2 + depth / 2)
     return around(p.x + dx, p.z + dz, p.piece.size[0], depth, p.quarter)
 
@@ -200,7 +201,7 @@ def _gap_refused(value: float) -> bool:
 
 
 def at(state: RoomState, members: Sequence[Member], origin: tuple[float, float], side: int) -> list[Placed]:
-    """Return the group's pieces in the world, with its frame at ``origin`` and turned by ``side`` quarters."""
+    """Return a group's pieces in the world, with the group frame at ``origin`` and rotated by ``side`` quarter turns."""
     out = []
     for m in members:
         dx, dz = turned(side, m.x, m.z)
@@ -219,7 +220,10 @@ def at(state: RoomState, members: Sequence[Member], origin: tuple[float, float],
 
 
 def fits(state: RoomState, group: Sequence[Placed]) -> bool:
-    """Return the cheap tests: inside the room, clear of other furniture, doors and windows, no gap of ambiguous width."""
+    """Return whether a group passes the cheap tests of its position in the room.
+
+    It must lie inside the room, clear of other furniture, doors and windows, and leave no gap of ambiguous width.
+    """
     interior = state.interior
     for p in group:
         if not p.piece.solid:
@@ -257,7 +261,7 @@ def _window_strips(state: RoomState) -> list[Rect]:
 
 
 def reach_m(category: str) -> float:
-    """Return the distance to which a walker must be able to approach the edge from which furniture is used [m]."""
+    """Return the largest allowed distance of walkers from the edge at which furniture is used [m]."""
     return _REACH.get(category, PLAN_RADIUS + 0.075)
 
 
@@ -353,7 +357,7 @@ def _without(free: BaseGeometry, group: Sequence[Placed]) -> BaseGeometry:
 
 
 def commit(state: RoomState, group: Sequence[Placed]) -> None:
-    """Add a group to the room, except rugs that would leave the room or cover another rug."""
+    """Add a group to the room, without rugs that would leave the room or cover another rug."""
     state.free = _without(state.free, group)
     for p in group:
         if p.piece.category == "rug":

@@ -1,4 +1,4 @@
-"""Search for positions of furniture groups: candidates along walls, in corners or free-standing; the first good one wins."""
+"""Search for positions of furniture groups along walls, in corners or free-standing; the first good one is used."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _positions(
 
 
 def mirrored(side: int) -> bool:
-    """Return whether a group's +x points towards lower u on this side."""
+    """Return whether a group's +x axis points towards lower ``u`` at this side of a room."""
     return side in (1, 2)
 
 
@@ -103,18 +103,18 @@ def place_at_wall(
     sides: Sequence[int] = (0, 1, 2, 3),
     tries: int = 6,
 ) -> list[Placed] | None:
-    """Place a group against a wall and return it; None if no position is good.
+    """Place a group against a wall and return it, or return None if no position passes the tests.
 
     Args:
         rng: Source of random positions.
-        state: The room; the group is added to it.
-        members: The group.
+        state: State of the room, to which the group is added.
+        members: Pieces of the group.
         corner: Prefer corners.
         middle: Prefer the middle of a wall.
         only_corner: Accept corners only.
         left_corner: Accept only corners with a wall on the group's left.
         sides: Walls to try.
-        tries: Positions that get the expensive test `walkable`.
+        tries: Number of positions that are tested with the expensive function `walkable`.
     """
     x0, x1 = _extent(members)
     rects, taken = _floor_rects(members), (*state.solids, *state.fronts, *state.keep)
@@ -146,7 +146,10 @@ def place_at_wall(
 def place_free(
     rng: np.random.Generator, state: RoomState, members: Sequence[Member], *, tries: int = 5
 ) -> list[Placed] | None:
-    """Place a group, given relative to its own centre, where most space is left around it, and return it; else None."""
+    """Place a free-standing group where most space remains around it and return it, or return None.
+
+    ``members`` are given relative to the group's centre.
+    """
     x0, z0, x1, z1 = state.interior
     rects, taken = _floor_rects(members), (*state.solids, *state.fronts, *state.keep)
     options = []

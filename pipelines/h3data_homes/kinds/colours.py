@@ -1,4 +1,4 @@
-"""Colours of parts by name: a home's style, palettes, shades of both."""
+"""Colours of parts by name: those of a home's style, palettes, and shades of both."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ PALETTES: Mapping[str, tuple[Color, ...]] = {
 
 
 def colours_of(rng: np.random.Generator, style: Style) -> Callable[[Paint], Color]:
-    """Return the colours of one thing: every name keeps its colour in all parts of the thing."""
+    """Return a function from names to the colours of one object, in which a name has the same colour in all parts."""
     chosen: dict[str, Color] = {}
 
     def of(paint: Paint) -> Color:

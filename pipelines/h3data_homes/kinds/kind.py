@@ -1,4 +1,4 @@
-"""Furniture and things made from the models of the catalogue, in random sizes and colours."""
+"""Furniture and objects made from the models of the catalogue, with random sizes and colours."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def extent(kind: Kind) -> NDArray[np.float64]:
 
 
 def grasp_point(kind: Kind) -> NDArray[np.float64]:
-    """Return the point at which a hand grasps it, in the frame of the kind's parts at scale 1, shape [3] [m]."""
+    """Return the point at which a hand grasps an object of this kind, in the model's frame at scale 1, shape [3] [m]."""
     return np.array(kind.hold_m) if kind.hold_m is not None else grasp_point_in(kind.grasp, extent(kind))
 
 
 def is_aligned(kind: Kind) -> bool:
-    """Return whether a thing stands parallel to the edges of the surface below it."""
+    """Return whether an object of this kind stands parallel to the edges of the surface below it."""
     return bool(kind.model) and model_of(kind).aligned
 
 
@@ -47,7 +47,7 @@ def _sampled_scale(model: Model, rng: np.random.Generator) -> NDArray[np.float64
 
 
 class KindBuilder(MeshBuilder):
-    """Model whose parts are collected only when its mesh is requested: most pieces are tried and discarded."""
+    """Mesh builder of a kind that collects its parts only on request, because most pieces are tried and discarded."""
 
     def __init__(self, kind_parts: Sequence[Part], seed: int, style: Style, scale: NDArray[np.float64]) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class KindBuilder(MeshBuilder):
 def builder_of(
     kind_parts: Sequence[Part], rng: np.random.Generator, style: Style, scale: NDArray[np.float64]
 ) -> MeshBuilder:
-    """Return the model of some parts in random colours of a style."""
+    """Return a mesh builder for some parts in random colours of a style."""
     return KindBuilder(kind_parts, int(rng.integers(1 << 62)), style, scale)
 
 
@@ -101,7 +101,7 @@ def _collision(kind: Kind, scale: NDArray[np.float64], origin: NDArray[np.float6
 
 
 def furniture_of(kind: Kind, rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a piece of furniture or a wall thing of this kind, with random size and colours."""
+    """Return a piece of furniture or a wall-mounted object of this kind, with random size and colours."""
     model = model_of(kind)
     scale = _sampled_scale(model, rng)
     low, high = extent(kind) * scale
@@ -130,7 +130,7 @@ def furniture_of(kind: Kind, rng: np.random.Generator, style: Style) -> Furnitur
 
 
 def thing_of(kind: Kind, rng: np.random.Generator, style: Style, name: str) -> Asset:
-    """Return a small thing as an asset whose origin is the middle of its bounding box."""
+    """Return a small object of this kind as an asset whose origin is the middle of its bounding box."""
     model = model_of(kind)
     scale = _sampled_scale(model, rng)
     mesh = builder_of(model.parts, rng, style, scale).mesh()

@@ -1,8 +1,8 @@
-"""Shapes for the tables of kinds: each function returns one `Part` or a few.
+"""Functions that return the parts of basic shapes, from which models of kinds are made.
 
-Positions are the middle of a part's footprint and its underside (x, y, z), for balls the centre; lengths in metres, turns in
-degrees about x, y and z (in this order), around the part's centre. Colours are names that `colours` resolves, or sRGB
-triples.
+A position (x, y, z) is the middle of a part's footprint at its underside, or the centre of a ball. Lengths are in
+metres. Rotations are in degrees about x, y and z (in this order), around the part's centre. Colours are names that
+`colours` resolves, or sRGB triples.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PartShape = Literal["box", "rod", "lathe", "ball", "soft", "pillow", "line", "le
 
 
 class Part(NamedTuple):
-    """Solid that is part of a kind of thing."""
+    """Solid that is one part of a kind's model."""
 
     shape: PartShape
     color: Paint
@@ -30,7 +30,7 @@ class Part(NamedTuple):
     size: tuple[float, ...]
     turn: Point = (0.0, 0.0, 0.0)
     rim: tuple[tuple[float, float], ...] = ()
-    """Profile (radius, height) of a lathe."""
+    """Profile of a lathe as pairs of radius and height [m]."""
     detail: int = 12
 
 
@@ -46,7 +46,7 @@ def box(
     bevel: float = 0.0,
     turn: Point = (0, 0, 0),
 ) -> Part:
-    """Return a box; bevelled, it has 44 triangles instead of 12."""
+    """Return a box, which has 44 triangles with bevels and 12 without."""
     return Part("box", color, (x, y, z), (w, h, d, bevel), turn)
 
 
@@ -62,7 +62,7 @@ def rod(
     turn: Point = (0, 0, 0),
     n: int = 10,
 ) -> Part:
-    """Return a closed cylinder, or a cone frustum with another radius at its ``top``; ``y`` is its underside after the turn."""
+    """Return a closed cylinder, or a cone frustum with radius ``top``; ``y`` is its underside after the rotation."""
     return Part("rod", color, (x, y, z), (r, h, r if top is None else top), turn, detail=n)
 
 
@@ -83,7 +83,7 @@ def lathe(
 def ball(
     color: Paint, x: float, y: float, z: float, rx: float, ry: float = 0.0, rz: float = 0.0, *, n: int = 10
 ) -> Part:
-    """Return an ellipsoid about (x, y, z); radii that are not given equal the first."""
+    """Return an ellipsoid about (x, y, z); radii that are not given equal the first one."""
     return Part("ball", color, (x, y, z), (rx, ry or rx, rz or rx), detail=n)
 
 
@@ -99,7 +99,7 @@ def soft(
     *,
     turn: Point = (0, 0, 0),
 ) -> Part:
-    """Return a box with round edges."""
+    """Return a box with rounded edges."""
     return Part("soft", color, (x, y, z), (w, h, d, r), turn)
 
 
@@ -111,7 +111,7 @@ def line(color: Paint, r: float, *points: Point, n: int = 6) -> tuple[Part, ...]
 def leaves(
     color: Paint, x: float, y: float, z: float, count: int, length: float, lean: tuple[float, float], width: float
 ) -> Part:
-    """Return leaves around a stem that rise and bend outwards; ``lean`` is their range of angles from upright."""
+    """Return leaves that rise around a stem and bend outwards; ``lean`` is their range of angles from upright [rad]."""
     return Part("leaves", color, (x, y, z), (length, *lean, width), detail=count)
 
 
@@ -139,7 +139,7 @@ Scale = NDArray[np.float64]
 
 
 def add(mesh: MeshBuilder, part: Part, color: Color, scale: Scale) -> None:
-    """Add a part, stretched along x, y and z."""
+    """Add a part to a mesh, scaled along x, y and z."""
     _ADD[part.shape](mesh, part, color, scale)
 
 

@@ -1,8 +1,8 @@
-"""Models of the catalogue: each file in ``datasets/kinds/`` describes them by the shapes of this module.
+"""Shapes by which the files in ``datasets/kinds/`` describe the models of the catalogue.
 
-Positions (``at``) are the middle of a shape's footprint and its underside (x, y, z), for balls and arcs the centre; lengths in
-metres, turns in degrees about x, y and z (in this order), around the shape's centre. Colours are names that `colours`
-resolves, or sRGB triples.
+A position ``at`` (x, y, z) is the middle of a shape's footprint at its underside, or the centre of a ball or arc.
+Lengths are in metres. Rotations are in degrees about x, y and z (in this order), around the shape's centre. Colours are
+names that `colours` resolves, or sRGB triples.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ parts, or none."""
 
 
 class Shape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="shape", tag=str.lower):
-    """Shape of a model."""
+    """Base of the shapes of a model."""
 
     color: Paint
 
@@ -34,7 +34,7 @@ class Shape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Box(Shape, frozen=True):
-    """A box; bevelled, it has 44 triangles instead of 12."""
+    """Box shape, which has 44 triangles with bevels and 12 without."""
 
     at: Point
     size: tuple[float, float, float]
@@ -42,12 +42,12 @@ class Box(Shape, frozen=True):
     turn: Point = (0, 0, 0)
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the box."""
         return (parts.box(self.color, *self.at, *self.size, bevel=self.bevel, turn=self.turn),)
 
 
 class Rod(Shape, frozen=True):
-    """A closed cylinder, or a cone frustum with the radius ``top`` at its top; the underside is that after the rotation."""
+    """Closed cylinder, or cone frustum with the radius ``top`` at its top; ``at`` is its underside after the rotation."""
 
     at: Point
     radius: float
@@ -57,12 +57,12 @@ class Rod(Shape, frozen=True):
     sides: int = 10
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the cylinder or cone frustum."""
         return (parts.rod(self.color, *self.at, self.radius, self.height, top=self.top, turn=self.turn, n=self.sides),)
 
 
 class Lathe(Shape, frozen=True):
-    """A profile of (radius, height) revolved about y; an ascending profile faces outwards."""
+    """Solid of revolution of a profile (radius, height) about y; an ascending profile faces outwards."""
 
     rim: tuple[tuple[float, float], ...]
     at: Point = (0.0, 0.0, 0.0)
@@ -71,26 +71,26 @@ class Lathe(Shape, frozen=True):
     sides: int = 14
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the solid of revolution."""
         x, y, z = self.at
         more = {"n": self.sides, "stretch": self.stretch, "turn": self.turn}
         return (parts.lathe(self.color, *self.rim, x=x, y=y, z=z, **more),)  # type: ignore[arg-type]
 
 
 class Ball(Shape, frozen=True):
-    """An ellipsoid about its centre."""
+    """Ellipsoid about its centre."""
 
     at: Point
     radii: tuple[float, float, float]
     sides: int = 10
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the ellipsoid."""
         return (parts.ball(self.color, *self.at, *self.radii, n=self.sides),)
 
 
 class Soft(Shape, frozen=True):
-    """A box with rounded edges."""
+    """Box with rounded edges."""
 
     at: Point
     size: tuple[float, float, float]
@@ -98,36 +98,36 @@ class Soft(Shape, frozen=True):
     turn: Point = (0, 0, 0)
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the rounded box."""
         return (parts.soft(self.color, *self.at, *self.size, self.radius, turn=self.turn),)
 
 
 class Pillow(Shape, frozen=True):
-    """A pillow lying flat."""
+    """Pillow that lies flat."""
 
     at: Point
     size: tuple[float, float, float]
     turn: Point = (0, 0, 0)
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the pillow."""
         return (Part("pillow", self.color, self.at, self.size, self.turn),)
 
 
 class Line(Shape, frozen=True):
-    """A bent tube through points."""
+    """Bent tube through points."""
 
     radius: float
     points: tuple[Point, ...]
     sides: int = 6
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the bent tube."""
         return parts.line(self.color, self.radius, *self.points, n=self.sides)
 
 
 class Arc(Shape, frozen=True):
-    """A tube along an arc of radius ``bend`` in the plane z, from one angle to another [degrees; 0 = +x, 90 = up]."""
+    """Tube along an arc of radius ``bend`` in a plane of constant z, between two angles [deg] (0 = +x, 90 = up)."""
 
     at: Point
     bend: float
@@ -136,7 +136,7 @@ class Arc(Shape, frozen=True):
     pieces: int = 6
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the arc."""
         x, y, z = self.at
         angle = np.radians(np.linspace(*self.angles, self.pieces + 1))
         points = ((x + self.bend * float(np.cos(a)), y + self.bend * float(np.sin(a)), z) for a in angle)
@@ -153,7 +153,7 @@ class Leaves(Shape, frozen=True):
     width: float
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the leaves."""
         return (parts.leaves(self.color, *self.at, self.count, self.length, self.lean, self.width),)
 
 
@@ -165,12 +165,12 @@ class Legs(Shape, frozen=True):
     thick: float = 0.04
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the legs."""
         return parts.legs(self.color, *self.half, self.top, self.thick)
 
 
 class Fronts(Shape, frozen=True):
-    """Doors or drawers with handles on the front, at ``at_z``, of a carcass of this width, from one height to another."""
+    """Doors or drawers with handles on the front of a carcass, at ``at_z`` and between two heights [m]."""
 
     handle: Paint
     width: float
@@ -181,7 +181,7 @@ class Fronts(Shape, frozen=True):
     knob: bool = False
 
     def parts(self) -> tuple[Part, ...]:
-        """Return parts that the shape consists of."""
+        """Return the parts of the doors or drawers."""
         found: list[Part] = []
         (low, high), z = self.heights, self.at_z
         a, b = self.width / self.columns, (high - low) / self.rows
@@ -199,7 +199,7 @@ class Fronts(Shape, frozen=True):
 
 
 class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A receptacle of a kind: middle of the surface, its full size along x and z, free height above it [m]."""
+    """Receptacle of a kind: the middle of its surface, its full size along x and z, and the free height above it [m]."""
 
     name: str
     at: Point
@@ -208,26 +208,26 @@ class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Model(msgspec.Struct, frozen=True, kw_only=True, eq=False, dict=True, forbid_unknown_fields=True):
-    """Model of a kind of thing."""
+    """Model of one kind of furniture or object: its shapes, collision shapes and receptacles."""
 
     shapes: tuple[Box | Rod | Lathe | Ball | Soft | Pillow | Line | Arc | Leaves | Legs | Fronts, ...] = msgspec.field(
         name="parts"
     )
     solid: Solid = "box"
     blocks: tuple[tuple[float, float, float, float, float, float], ...] = ()
-    """Collision boxes (x, underside, z, width, height, depth), instead of those of ``solid``."""
+    """Collision boxes (x, underside, z, width, height, depth) [m] that replace those of ``solid``."""
     surfaces: tuple[Surface, ...] = ()
     front_m: float = 0.0
-    """Depth of free floor that is needed in front [m]."""
+    """Depth of the free floor that is needed in front [m]."""
     wall_gap_m: float = 0.02
     scale: tuple[tuple[float, float], ...] = ((0.94, 1.06),)
-    """Range of sizes: one for all axes, or one each for x, y and z."""
+    """Ranges of scale factors: one for all axes, or one each for x, y and z."""
     aligned: bool = False
-    """True if the thing stands parallel to the edges of the furniture below it."""
+    """True if the object stands parallel to the edges of the furniture below it."""
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
-        """The solids of all shapes, in order."""
+        """Parts of all shapes, in order."""
         return tuple(chain.from_iterable(shape.parts() for shape in self.shapes))
 
 

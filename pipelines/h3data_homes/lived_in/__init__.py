@@ -1,6 +1,6 @@
-"""Homes of the second generation: styles, rooms and things left lying around.
+"""Homes of the second generation, with more styles and rooms and with objects that residents left lying around.
 
 - `looks`: eight styles; `models`: furniture of the first generation with other looks, on the same footprint; `pictures`
-- `rooms`: what is added to each kind of room, and the new kinds of rooms; `zones`: balconies
-- `habits`: tables of what lies where; `clutter`: things on furniture and on the floor
+- `rooms`: additional furniture of each kind of room, and the new kinds of rooms; `zones`: balconies
+- `habits`: tables of objects by place; `clutter`: placement of objects on furniture and on the floor
 """

@@ -1,4 +1,4 @@
-"""Things left lying around, on furniture and on the floor, by the tables of `habits`."""
+"""Small objects that residents left on furniture and on the floor, placed by the tables of `habits`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SEAT_M = 0.62
 
 @lru_cache(maxsize=2048)  # 10 kB each
 def model_of(kind: str, look: Look, variant: int) -> Asset:
-    """Return one of the models of a kind of thing in a style; homes share them."""
+    """Return one of the models of a kind of object in a style, which all homes share."""
     name = f"{kind}_{look}_{variant}"
     rng = np.random.default_rng(list(name.encode()))
     if KINDS[kind].model:
@@ -233,10 +233,10 @@ def leave_about(
     furniture: Sequence[tuple[Instance, Asset]],
     amount: float = 1.0,
 ) -> tuple[list[Instance], dict[str, Asset]]:
-    """Place things on the receptacles of ``furniture`` and on floors as kinematic instances; return their assets too.
+    """Place objects on furniture and floors; return their kinematic instances and their assets.
 
-    None overlap, every thing lies within its receptacle and fits under its clearance. ``amount`` scales probabilities and
-    numbers.
+    Objects do not overlap, and each lies within its receptacle and fits under its clearance. ``amount`` scales
+    probabilities and numbers of objects.
     """
     things = _Things(rng, look)
     if amount <= 0:

@@ -1,4 +1,4 @@
-"""Tables of habits of leaving things in rooms: for surfaces by their furniture, and for floors by room."""
+"""Tables of objects that residents leave in rooms: on surfaces by furniture, and on floors by kind of room."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 Manner = Literal["scatter", "stack", "row", "settings", "pair"]
-"""Arrangement of things: apart from each other; one upon the other; side by side at the back; plate, cutlery and glass
-per seat; two of one kind."""
+"""Arrangement of objects: apart from each other; stacked; side by side at the back; plate, cutlery and glass per seat;
+or two of one kind."""
 
 
 @dataclass(frozen=True)
 class Habit:
-    """Habit of leaving things somewhere."""
+    """Rule for objects that residents leave in a place: their kinds, number and arrangement."""
 
     manner: Manner
     kinds: tuple[str, ...]
     count: tuple[int, int]
-    """Smallest and largest number of things."""
+    """Smallest and largest number of objects."""
     weight: float = 1.0
 
 
@@ -154,7 +154,7 @@ ON_FURNITURE: Mapping[str, tuple[Habit, ...]] = {
     "wine_rack": (_habit("scatter", "wine_glass bottle basket", 1, 3),),
     "piano": (_habit("scatter", "candlestick photo_frame sculpture vase", 1, 3),),
 }
-"""Habits by the furniture that has the surface; ``sink`` is the worktop beside a sink."""
+"""Habits by the furniture that has the surface; ``sink`` is the worktop next to a sink."""
 
 CHANCE: Mapping[str, float] = {
     "dining_table": 1.0,
@@ -176,7 +176,7 @@ CHANCE: Mapping[str, float] = {
     "tv_stand": 0.5,
     "toilet": 0.5,
 }
-"""Probability that anything lies on a surface, by furniture; 0.7 for other furniture."""
+"""Probability that objects lie on a surface, by furniture; 0.7 for other furniture."""
 
 ON_FLOOR: Mapping[str, tuple[Habit, ...]] = {
     "hall": (
@@ -206,4 +206,4 @@ ON_FLOOR: Mapping[str, tuple[Habit, ...]] = {
     ),
     "balcony": (_habit("scatter", "watering_can garden_trowel toy_bucket lantern", 1, 2),),
 }
-"""Things that lie on the floor close to walls and furniture, where nobody walks."""
+"""Habits for floors by kind of room; the objects lie close to walls and furniture, out of the way."""

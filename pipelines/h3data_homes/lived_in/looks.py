@@ -19,11 +19,11 @@ Colors = Sequence[tuple[int, int, int]]
 
 @dataclass(frozen=True, kw_only=True)
 class Palette:
-    """Materials and colours of a style."""
+    """Materials and colours of a style, from which those of one home are sampled."""
 
     paints: Colors
     feature: tuple[str, Colors]
-    """Material and colours of the walls of one room or two."""
+    """Material and colours of the walls of one or two rooms."""
     floors: Colors
     floor: str = "boards"
     """Material of the floor of living rooms; bedrooms have boards or carpet."""
@@ -190,14 +190,14 @@ _WET = ("kitchen", "pantry", "bathroom", "laundry")
 
 @cache
 def thing_style(look: Look) -> Style:
-    """Return the palette for small things, which all homes of a style share."""
+    """Return the palette for small objects, which all homes of a style share."""
     seed = np.frombuffer(look.encode().ljust(16, b"\0")[:16], "<u8").astype(np.uint64)
     nowhere = Layout(width=1.0, depth=1.0, rooms=(), openings=())
     return sample_look(np.random.Generator(np.random.Philox(key=seed)), nowhere, look)
 
 
 def sample_look(rng: np.random.Generator, layout: Layout, look: Look) -> Style:
-    """Return the palette of one home in a style. Every style takes the same random numbers."""
+    """Return the palette of one home in a style, which uses the same random numbers for every style."""
     palette = LOOKS[look]
 
     def pick(colors: Colors, material: str = "", amount: float = 0.03) -> Color:

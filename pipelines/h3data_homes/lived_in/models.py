@@ -1,4 +1,4 @@
-"""Furniture of the first generation with other models: the same collision shapes, surfaces and place."""
+"""Replacement of first-generation models of furniture, with the same collision shapes, surfaces and positions."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ _OTHER: Mapping[str, Callable[[Furniture, np.random.Generator, Style], Furniture
 
 
 def remodel(rng: np.random.Generator, style: Style, state: RoomState) -> None:
-    """Give furniture in a room other models; equal pieces stay equal."""
+    """Replace the models of furniture in a room; equal pieces stay equal."""
     changed: dict[int, Furniture] = {}
     chosen: dict[str, int] = {}
     out: list[Placed] = []

@@ -1,4 +1,4 @@
-"""Framed pictures: ten motifs as flat shapes, in the colours of the home."""
+"""Framed pictures with ten motifs made of flat shapes, in the colours of the home."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ MOTIFS: tuple[_Motif, ...] = (
 
 
 def picture(rng: np.random.Generator, style: Style, size: tuple[float, float]) -> Furniture:
-    """Return a framed picture of a given width and height: origin at its centre, back at z = 0."""
+    """Return a framed picture of a given width and height [m], with its origin at its centre and its back at z = 0."""
     mesh, (w, h) = MeshBuilder(), size
     frame = (style.wood_dark, style.black, style.wood, style.metal, style.white)[int(rng.integers(5))]
     mesh.span((-w / 2, -h / 2, 0.002), (w / 2, h / 2, 0.022), frame, bevel=0.004)

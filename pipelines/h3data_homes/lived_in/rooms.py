@@ -1,7 +1,7 @@
-"""Furniture of each kind of room in homes of the second generation: that of the first, further pieces, new kinds of rooms.
+"""Furniture of each kind of room in homes of the second generation.
 
-Large pieces come first, then `EXTRAS` in random order as far as they fit, then `ON_WALL`; at last `remodel` gives the
-furniture of the first generation other looks.
+The furniture of the first generation is placed first. Then follow large pieces, `EXTRAS` in random order if they fit,
+and `ON_WALL`. Finally `remodel` replaces models of the first generation.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     ),
     "balcony": ("flower_box", "planter", "grill", "parasol", "drying_rack", "planter", "flower_box", "stool"),
 }
-"""Pieces that are placed at a wall where there is room for them."""
+"""Kinds of additional pieces by kind of room, placed at a wall if there is space."""
 ON_WALL: Mapping[str, tuple[tuple[str, float], ...]] = {
     "living": (
         ("wall_clock", 1.75),
@@ -130,7 +130,7 @@ ON_WALL: Mapping[str, tuple[tuple[str, float], ...]] = {
     "garage": (("tool_board", 1.5), ("wall_shelf", 1.6)),
     "balcony": (("hanging_plant", 1.8), ("wall_lamp", 1.8)),
 }
-"""Things on walls with the height of their middle [m]."""
+"""Kinds of wall-mounted objects by kind of room, with the height of their middle [m]."""
 _FROM_M2 = 5.5
 """Floor per extra piece [m2]."""
 _MOST_EXTRAS, _LARGE_EXTRAS = 4, 7
@@ -140,7 +140,7 @@ _REACH_OVER_M = 0.55
 
 
 def model(name: str, rng: np.random.Generator, style: Style) -> Furniture:
-    """Return a piece of furniture of the second generation, by the name of its kind."""
+    """Return a piece of second-generation furniture by the name of its kind."""
     return furniture_of(KINDS[name], rng, style)
 
 

@@ -1,7 +1,7 @@
-"""Correction of pieces that would overlap a wall or other furniture by a centimetre or two.
+"""Correction of furniture positions that overlap a wall or other furniture by a centimetre or two.
 
-Places are found for models that stand parallel to the walls; a chair that is turned by some degrees is wider, and so are
-collision boxes that are larger than the model. Only pieces that are too deep in something are changed.
+Positions are searched for models that stand parallel to the walls. A chair that is rotated by some degrees is wider,
+and so are collision boxes that are larger than the model. Only pieces that overlap too deeply are moved.
 """
 
 from __future__ import annotations

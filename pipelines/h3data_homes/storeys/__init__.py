@@ -1,1 +1,1 @@
-"""Homes with two storeys: two plans side by side, as in a house on a slope, and a stairwell between them."""
+"""Homes with two storeys: two plans side by side, as in a house on a slope, with a stairwell between them."""

@@ -1,4 +1,4 @@
-"""The storeys of a home and their stairwell as one scene."""
+"""Assembly of the storeys of a home and their stairwell into one scene."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from h3data.scene.records import Articulation, Asset, Part, Room, Scene
 from h3data_homes.storeys.plan import STOREY_M, StoreyPlan
 
 UPPER = "upper_"
-"""Prefix of the names of everything on the upper storey."""
+"""Prefix of the names of all objects on the upper storey."""
 
 
 def joined_storeys(plan: StoreyPlan, ground: Scene, upper: Scene, well: Scene) -> Scene:
-    """Return one scene of two furnished storeys, both given at (0, 0) and y = 0, and of the parts between them, in place.
+    """Return one scene with two furnished storeys and the parts between them.
 
-    Assets of the upper storey that the ground floor has too are shared if they are the same object.
+    Both storeys are given at (0, 0) and y = 0, and ``well`` in its final place. Assets that are the same object in both
+    storeys are shared.
     """
     dx, dz = plan.offset
     lift = np.array([dx, STOREY_M, dz])

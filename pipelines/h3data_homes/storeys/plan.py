@@ -1,7 +1,8 @@
-"""Plan of a home with two storeys: the place of the stairwell, and that of the upper storey beside the ground floor.
+"""Plan of a home with two storeys: the positions of the stairwell and of the upper storey next to the ground floor.
 
 Both storeys are plans of `h3data_homes.layout`. The ground floor keeps its place, the stairwell adjoins its wall at x =
-width, and the upper storey lies beyond, so that no two of them share any floor: `h3data.scene.floor_heights` says why.
+width, and the upper storey lies beyond, so that no two of them share any floor: `h3data.scene.floor_heights` gives the
+reason.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ from h3data_homes.zoning import Rect, rounded
 
 RISE_M, GOING_M, RISERS = 0.17, 0.28, 16
 STOREY_M = RISE_M * RISERS
-"""Height from floor to floor [m]."""
+"""Height from the ground floor to the upper floor [m]."""
 RUN_M = GOING_M * RISERS
 WELL_WIDTH_M = 1.25
 """Width between the walls of the stairwell [m]; the handrails leave 1.1 m."""
 LANDING_M = 1.35
-"""Depth of the landings at both ends [m]."""
+"""Depth of the landings at both ends of the stairs [m]."""
 PASSAGE_M = 1.0
 """Width of the doorways to the stairwell [m]."""
 _STRETCH_M = 1.24
@@ -47,18 +48,18 @@ another room than a hall."""
 
 @dataclass(frozen=True, kw_only=True)
 class Well:
-    """A straight stairwell along z between two storeys."""
+    """Straight stairwell along z between two storeys."""
 
     rect: Rect
-    """Floor between the walls of the stairwell, landings included."""
+    """Rectangle of floor between the walls of the stairwell, including landings [m]."""
     ramp: Ramp
     doors: tuple[tuple[float, float], tuple[float, float]]
-    """Spans in z of the doorways: to the ground floor at the lower x, to the upper storey at the higher x."""
+    """Spans of the doorways along z [m]: to the ground floor at the lower x, and to the upper storey at the higher x."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StoreyPlan:
-    """Plans of both storeys and the stairs that join them; the ground floor is at (0, 0)."""
+    """Plans of both storeys and of the stairs between them; the ground floor is at (0, 0)."""
 
     ground: Layout
     upper: Layout
@@ -68,15 +69,15 @@ class StoreyPlan:
 
 
 def upper_seed(seed: int) -> int:
-    """Return the seed of the plan upstairs."""
+    """Return the seed of the upper storey's plan."""
     return int.from_bytes(hashlib.sha256(f"h3data.homes/upper/{int(seed)}".encode()).digest()[:4], "little")
 
 
 def plan_storeys(ground: HomeSpec, upper: HomeSpec, attempt: int) -> StoreyPlan:
-    """Return the plan of a home with two storeys; each ``attempt`` has random numbers of its own.
+    """Return the plan of a home with two storeys; each ``attempt`` uses different random numbers.
 
     Raises:
-        SceneError: no acceptable plan was found, or no wall of one of them has room for the stairwell.
+        SceneError: no acceptable plan was found, or one of the plans has no wall with room for the stairwell.
     """
     below, low_door = _turned_to_well(plan_layout(ground, attempt), high=True)
     above, high_door = _turned_to_well(_upstairs(plan_layout(upper, attempt)), high=False)

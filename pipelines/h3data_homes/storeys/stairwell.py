@@ -1,7 +1,7 @@
-"""Stairwell of a home with two storeys: steps, handrails, walls, windows, ceiling; and the cellar below the upper storey.
+"""Stairwell of a home with two storeys (steps, handrails, walls, windows, ceiling), and the cellar below.
 
-All assets are in world coordinates, as those of `h3data_homes.structure`. Their collision boxes end a little below what
-feet stand on.
+All assets are in world coordinates, like those of `h3data_homes.structure`. Their collision boxes end slightly below
+the surfaces on which feet stand.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from h3data_homes.style import Style
 from h3data_homes.zoning import Rect
 
 TOP_M = STOREY_M + WALL_HEIGHT
-"""Height of the stairwell's ceiling [m]."""
+"""Height of the stairwell's ceiling above the ground floor [m]."""
 _LINING_M = 0.004
 """The paint inside lies so far before the walls, whose other side is a facade."""
 _SLAB_M, _NOSE_M, _SUNK_M = 0.04, 0.02, 0.02
@@ -37,7 +37,7 @@ _DOOR_M = 2.1
 
 
 def stairwell_assets(plan: StoreyPlan, style: Style, rng: np.random.Generator) -> list[tuple[Asset, str]]:
-    """Return all assets of the stairwell and the cellar with the names of their layers."""
+    """Return all assets of the stairwell and the cellar, with the names of their layers."""
     well = plan.well
     return [
         (_walls(plan, style), ""),
@@ -55,7 +55,7 @@ def _sign(well: Well) -> int:
 
 
 def riser(well: Well, k: int) -> float:
-    """Return the z of riser ``k``, counted from 0 [m]."""
+    """Return the z coordinate of riser ``k``, counted from 0 [m]."""
     return well.ramp.start + _sign(well) * (k + 0.5) * GOING_M
 
 

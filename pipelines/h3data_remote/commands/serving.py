@@ -1,4 +1,4 @@
-"""Command ``h3data serve``, which serves one of our policies over a websocket."""
+"""Command ``h3data serve``, which serves a policy of this package over a WebSocket."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from h3data.progress import say
 class Serve:
     """Serve a policy over a websocket, in the protocol of openpi.
 
-    Planners observe the whole state, which only h3data sends; trained policies and those with --adapter get named
-    observations, which any client may send. Ctrl-C stops the server. Needs the extra remote.
+    Planners observe the whole state, which only h3data can send. Trained policies and those with --adapter receive
+    named observations, which any client can send. Ctrl-C stops the server. Needs the extra remote.
 
     Examples:
         h3data serve --policy rollout_expert
@@ -27,11 +27,11 @@ class Serve:
     """
 
     policy: str
-    """A robot's policy: a name as in generate, weights:FILE or module:name."""
+    """Policy of the robot: a name as in generate, weights:FILE or module:name."""
     task: str | None = None
-    """Task that it plays: wander, or an installed one whose robots drive (default: social_nav)."""
+    """Task of the policy: wander, or an installed task whose robots drive (default: social_nav)."""
     adapter: Path | None = None
-    """Adapter file that says which observations clients send (h3data docs remote-policies)."""
+    """Adapter file with the observations that clients send (h3data docs remote-policies)."""
     host: Annotated[
         str, tyro.conf.arg(help="Address to listen on; others than this machine's own have no protection.")
     ] = "127.0.0.1"

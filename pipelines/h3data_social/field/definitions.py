@@ -10,13 +10,13 @@ from h3data_social.definition import HUMAN_POSE, ROBOT_POSE, define_metric
 ROBOT_RADIUS_M = HUMAN_RADIUS_M = 0.25
 """Radius of a robot for times to collision, that of Habitat's navmesh agent [m]."""
 COMPLIANT_M = 1.0
-"""Personal space of PSC, centre to centre (Falcon, ICRA 2025; the iGibson challenge takes 0.5 m)."""
+"""Personal space for the metric PSC, centre to centre [m] (Falcon, ICRA 2025; the iGibson challenge uses 0.5 m)."""
 INTIMATE_M, PERSONAL_M, SOCIAL_M = 0.45, 1.2, 3.6
-"""Outer limits of Hall's zones (E. T. Hall, The Hidden Dimension, 1966)."""
+"""Outer limits of Hall's zones [m] (E. T. Hall, The Hidden Dimension, 1966)."""
 STALLED_M_S, STALLED_RAD_S = 0.01, 0.02
-"""Speed and turn rate below which, together, a robot is stalled (HuNavSim)."""
+"""Speed [m/s] and turn rate [rad/s] below which, together, a robot counts as stalled (HuNavSim)."""
 FULL_SPEED_M_S = 2.5
-"""Speed of the ideal robot in STL: that of the paper's robot [m/s]."""
+"""Speed of the ideal robot in the metric STL, that of the paper's robot [m/s]."""
 
 _PAIR, _TIMED = (ROBOT_POSE, HUMAN_POSE), ("time_ns", ROBOT_POSE)
 _NO_PAIR = "No row has a pose of the robot and of a person."

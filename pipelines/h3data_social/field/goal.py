@@ -1,4 +1,4 @@
-"""Goal of a robot's episode, and when it is reached: a point of the floor, or an agent."""
+"""Goal of a robot's episode, which is a floor point or an agent, and the rows in which it is reached."""
 
 from __future__ import annotations
 
@@ -17,57 +17,58 @@ from h3data_social.others import find_others
 
 GEODESIC, GOAL_DISTANCE = "metrics.geodesic_agents", "metrics.goal_distance"
 REACHED_M = 0.5
-"""Distance within which a point is reached, for recordings without a column `metrics.success` [m]."""
+"""Distance within which a point counts as reached, for recordings without a column `metrics.success` [m]."""
 PERSON_IS_GOAL = SOCIAL_NAV_PROFILE.tasks[0]
 """Name of the task whose goal is the person."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """The goal of the measured agent, row by row."""
+    """Goal of the measured agent, with its distance in each row."""
 
     distance: NDArray[np.float64]
-    """Length of the shortest path to the goal, if recorded, else the straight distance on the floor [T] [m]; NaN if
-    unknown."""
+    """Length of the shortest path to the goal if it is recorded, else the straight distance on the floor [m], shape
+    [T]; NaN if unknown."""
     straight: NDArray[np.float64]
-    """Straight distance to the goal on the floor [T] [m]; NaN if unknown."""
+    """Straight distance to the goal on the floor [m], shape [T]; NaN if unknown."""
     reached: NDArray[np.bool_]
-    """Rows in which the goal is reached [T]."""
+    """Mask of the rows in which the goal is reached, shape [T]."""
     agent: int = -1
     """Index of the agent that is the goal; -1 for a point."""
     within_m: float = 0.0
-    """Distance from which the goal is reached [m]; this part of a path to it need not be driven."""
+    """Distance from which the goal counts as reached [m]; this last part of a path need not be driven."""
     missing: str = ""
-    """Reason why there is no goal; then nothing is reached, and all distances are NaN."""
+    """Reason why there is no goal, in which case it is never reached and all distances are NaN."""
     notes: tuple[str, ...] = ()
-    """Notes that say what replaced missing data."""
+    """Notes on the data that were used in place of missing data."""
 
     @property
     def first(self) -> int:
-        """First row in which the robot, and an agent that is the goal, have a pose; -1 = none."""
+        """Return the first row in which the robot and a goal agent have a pose; -1 if there is none."""
         known = ~np.isnan(self.straight)
         return int(np.argmax(known)) if known.any() else -1
 
     @property
     def row(self) -> int:
-        """First row in which the goal is reached; -1 = never."""
+        """Return the first row in which the goal is reached; -1 if it never is."""
         return int(np.argmax(self.reached)) if self.reached.any() else -1
 
     @property
     def shortest(self) -> float:
-        """Length of the shortest path from the place in row `first` until the goal is reached [m]; NaN or inf if unknown."""
+        """Length of the shortest path from the position in row `first` to the goal [m]; NaN or inf if unknown."""
         return max(float(self.distance[self.first]) - self.within_m, 0.0) if self.first >= 0 else np.nan
 
 
 def find_goal(recording: Recording) -> Goal:
     """Find the goal of the first robot in an episode.
 
-    It is ``info["goal"]``, or ``goal`` in ``info["extra"]``, where `Episode.extra` is recorded: ``[x, z]`` or ``[x, y, z]`` in
-    the world [m], or the number or the name of an agent. Without it, the goal of `social_nav` is the one person.
+    The goal is ``info["goal"]``, or ``goal`` in ``info["extra"]``, where `Episode.extra` is recorded. It is ``[x, z]``
+    or ``[x, y, z]`` in the world [m], or the number or the name of an agent. Without it, the goal of `social_nav` is
+    the only person.
 
-    A point is reached in rows with ``metrics.success``, or, without this column, from `REACHED_M`; its distance is the column
-    ``metrics.goal_distance``, or, without it, the straight one. An agent is reached in the paper's found rows: 1 to 2 m
-    (geodesic, if recorded) and facing them.
+    A point is reached in rows with ``metrics.success``, or within `REACHED_M` if this column is missing. Its distance
+    is the column ``metrics.goal_distance``, or else the straight distance. An agent is reached in the paper's found
+    rows: 1 to 2 m (geodesic, if recorded) and facing them.
     """
     robot, others = find_others(recording)
     stored, rows = _stored(recording.episode.info), len(recording)

@@ -1,7 +1,7 @@
 """Profile ``field``: proxemics, efficiency and smoothness of a robot near people.
 
 Definitions and sources: `h3data_social.field.definitions`. Distances are centre to centre on the floor unless stated
-otherwise, to the nearest of all people; rows without a pose are left out.
+otherwise, to the nearest person. Rows without a pose are ignored.
 """
 
 from __future__ import annotations
@@ -39,13 +39,14 @@ if TYPE_CHECKING:
 
 CLEARANCE = "metrics.robot_clearance"
 GOAL = ("SPL", "STL", "T_goal")
-"""Metrics of reaching the goal."""
+"""Names of metrics of reaching the goal."""
 
 
 def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
-    """Return the recording with a column ``metrics.robot_clearance``, which C_min and C_mean read.
+    """Return the recording with a column ``metrics.robot_clearance``, for the metrics C_min and C_mean.
 
-    It is the distance from the robot's centre to the nearest obstacle [m], 0 inside one, NaN where the robot has no pose.
+    It is the distance from the robot's centre to the nearest obstacle [m], 0 inside one, NaN where the robot has no
+    pose.
     """
     robot, _ = find_others(recording)
     at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
@@ -56,7 +57,7 @@ def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
 
 
 def compute_field(recording: Recording, notes: Notes) -> Computed:
-    """Compute all metrics of the first robot near all people; `Computed.human` is the one whom it comes nearest.
+    """Compute all metrics of the first robot near all people; `Computed.human` is the nearest of them.
 
     Without a robot and a person, the first agent is measured near all others, and a note names them.
     """
@@ -101,10 +102,10 @@ def _offsets(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def field_series(recording: Recording) -> Series:
-    """Compute the per-row quantities and flags [T]. The motion of row k is that since row k - 1, NaN in row 0.
+    """Compute the per-row quantities and flags [T]. Motion in row k is since row k - 1.
 
-    Distances and times to collision are to the nearest person, zones are that person's, and ``goal`` holds nowhere where no
-    goal is known.
+    Motion is NaN in row 0. Distances, times to collision and zones refer to the nearest person. ``goal`` is false in
+    all rows if no goal is known.
     """
     return _series(recording, find_goal(recording), *_offsets(recording))
 
@@ -144,7 +145,7 @@ def _series(recording: Recording, goal: Goal, towards: NDArray[np.float64], dist
 
 
 def zones(distance: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
-    """Return for each of Hall's zones, by name, whether distances [...] [m] are in it; NaN is in no zone."""
+    """Return a mask of the distances [...] [m] in each of Hall's zones, by name; NaN is in no zone."""
     return {
         "intimate": distance < INTIMATE_M,
         "personal": (distance >= INTIMATE_M) & (distance < PERSONAL_M),
@@ -156,9 +157,10 @@ def zones(distance: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
 def time_to_collision(
     offset: NDArray[np.float64], velocity: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.float64]:
-    """Return the smallest t >= 0 [s] with ``|offset + velocity * t| = radius_m``, inf if there is none; [..., 2] x2 -> [...].
+    """Return the smallest t >= 0 [s] with ``|offset + velocity * t| = radius_m``, or inf if there is none.
 
-    0 where the two already overlap; NaN where offset or velocity is NaN.
+    ``offset`` [..., 2] [m] and ``velocity`` [..., 2] [m/s] give the shape [...]. The result is 0 where the two already
+    overlap, and NaN where offset or velocity is NaN.
     """
     a = np.sum(velocity * velocity, axis=-1)
     b = np.sum(offset * velocity, axis=-1)
@@ -232,7 +234,7 @@ def _goal(goal: Goal, series: Series, recording: Recording, notes: Notes) -> dic
 
 
 def weighted(best: float, taken: float) -> float:
-    """Return best / max(best, taken); 1 if both are 0."""
+    """Return best / max(best, taken), or 1 if both are 0."""
     return best / max(best, taken) if max(best, taken) > 0 else 1.0
 
 

@@ -1,1 +1,1 @@
-"""Profile ``social``: metrics of papers and simulators of social navigation, over every person of an episode."""
+"""Profile ``social``: metrics of papers and simulators of social navigation, over all people of an episode."""

@@ -8,15 +8,15 @@ from h3data.metrics.metric import Metric
 from h3data_social.definition import HUMAN_POSE, ROBOT_POSE, define_metric
 
 RATE_HZ = 10
-"""Rate at which speeds, accelerations, jerks and forces are computed, on which their values depend [Hz]."""
+"""Rate at which speeds, accelerations, jerks and forces are computed [Hz]; their values depend on it."""
 SPACE_M = 0.5
-"""Radius of personal space in SC (Francis et al.) [m]."""
+"""Radius of personal space in the metric SC (Francis et al.) [m]."""
 PROGRESS_M, PROGRESS_S = 0.1, 5.0
-"""Distance by which a robot must come nearer to the goal within this time, else it fails to progress."""
+"""Distance [m] by which a robot must come nearer to its goal within a time [s]; otherwise it fails to progress."""
 TARGET_M = 1.2
 """Distance from the target within which SEAN calls an episode completed."""
 MET_M, P_SPACE_M = 2.0, 0.5
-"""Distance from its centre within which the members of a group count as met, and width of the group's p-space."""
+"""Distance from its centre at which the members of a group count as met, and width of the group's p-space [m]."""
 FORCE, LAMBDA, GAMMA, N_PRIME, N = 2.1, 2.0, 0.35, 3.0, 2.0
 """Parameters of HuNavSim's social force (lightsfm, after Moussaid et al. 2009)."""
 

@@ -1,7 +1,7 @@
 """Profile ``social``: metrics of social navigation over every person of an episode, of many episodes at once.
 
-Definitions and sources: `h3data_social.people.definitions`. Rows without a pose are left out, and what a recording cannot
-tell is NaN, with a note.
+Definitions and sources: `h3data_social.people.definitions`. Rows without a pose are ignored. Metrics that a recording
+does not determine are NaN, with a note.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ Flags = NDArray[np.bool_]
 def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> list[Computed]:
     """Compute all metrics of the first robot near all people of each recording.
 
-    `Computed.human` is the person whom it comes nearest.
+    `Computed.human` is the person who comes nearest to the robot.
     """
     for recording, note in zip(recordings, notes, strict=True):
         find_agents(recording)  # before anything is computed, whoever lacks a robot or a person
@@ -93,7 +93,7 @@ def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> l
 
 
 def social_series(recording: Recording) -> Series:
-    """Compute the per-row quantities and flags [T]. The motion of row k is that since row k - 1, NaN in row 0."""
+    """Compute the per-row quantities and flags [T]. Motion in row k is since row k - 1."""
     find_agents(recording)
     crowd = _Crowd.of([recording])
     series = {
@@ -359,11 +359,11 @@ def _sampled(crowd: _Crowd) -> dict[str, Array]:
 
 
 def social_force(towards: Array, velocity: Array) -> Array:
-    """Return the size of the social force between two agents [...] [m/s2] by HuNavSim's parameters.
+    """Return the magnitude of the social force between two agents [...] [m/s2] with HuNavSim's parameters.
 
     Args:
-        towards: Offset from one to the other on the floor [..., 2] [m].
-        velocity: Velocity of the one relative to the other [..., 2] [m/s].
+        towards: Offset from the first agent to the second on the floor [..., 2] [m].
+        velocity: Velocity of the first agent relative to the second [..., 2] [m/s].
     """
     gap = np.linalg.norm(towards, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -1,4 +1,4 @@
-"""Rows of several episodes, one after another: numbers per episode, events, and samples at a fixed rate."""
+"""Reduction over the rows of several consecutive episodes: sums per episode, events, and samples at a fixed rate."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """Rows of E episodes, none of which is empty, by the first row of each."""
+    """Rows of E non-empty episodes, described by the first row of each."""
 
     starts: NDArray[np.int64]
-    """First row of each episode [E]."""
+    """First row of each episode, shape [E]."""
     total: int
-    """Number of rows of all episodes, R."""
+    """Total number of rows R of all episodes."""
 
     @classmethod
     def of(cls, counts: Sequence[int] | NDArray[np.int64]) -> Rows:
@@ -29,12 +29,12 @@ class Rows:
 
     @property
     def counts(self) -> NDArray[np.int64]:
-        """Number of rows of each episode [E]."""
+        """Number of rows of each episode, shape [E]."""
         return np.diff(self.starts, append=self.total)
 
     @property
     def ends(self) -> NDArray[np.int64]:
-        """Index after the last row of each episode [E]."""
+        """Index after the last row of each episode, shape [E]."""
         return self.starts + self.counts
 
     def sum(self, values: NDArray[Any]) -> NDArray[Any]:
@@ -49,29 +49,29 @@ class Rows:
             return self.sum(values) / self.sum(~np.isnan(values))
 
     def least(self, values: Array) -> Array:
-        """Return the smallest known value of each episode: [R] -> [E]; NaN where nothing is known."""
+        """Return the smallest known value of each episode, [R] -> [E]; NaN if none is known."""
         return np.fmin.reduceat(values, self.starts)
 
     def greatest(self, values: Array) -> Array:
-        """Return the greatest known value of each episode: [R] -> [E]; NaN where nothing is known."""
+        """Return the greatest known value of each episode, [R] -> [E]; NaN if none is known."""
         return np.fmax.reduceat(values, self.starts)
 
     def changes(self, values: NDArray[Any]) -> Array:
-        """Return the changes since the previous row of the episode [R, ...]; NaN in its first."""
+        """Return the changes since the previous row of the episode, shape [R, ...]; NaN in its first row."""
         changes = np.full(values.shape, np.nan)
         changes[1:] = np.diff(values, axis=0)
         changes[self.starts] = np.nan
         return changes
 
     def begins(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the rows in which a flag [R, ...] holds that did not hold in the previous row of the episode."""
+        """Return a mask of the rows in which a flag [R, ...] becomes true within an episode."""
         before = np.zeros_like(flags)
         before[1:] = flags[:-1]
         before[self.starts] = False
         return flags & ~before
 
     def earlier(self, time_ns: NDArray[np.int64], ago_ns: int) -> NDArray[np.int64]:
-        """Return the last row of the episode that is at least ``ago_ns`` before each row [R]; -1 where there is none."""
+        """Return the last row of the episode at least ``ago_ns`` before each row, shape [R]; -1 if there is none."""
         since, shift = self._since(time_ns)
         episode = np.repeat(np.arange(len(self.starts)), self.counts)
         found = np.searchsorted(since + shift[episode], since + shift[episode] - ago_ns, side="right") - 1
@@ -80,15 +80,15 @@ class Rows:
     def sampled(
         self, time_ns: NDArray[np.int64], period_ns: NDArray[np.int64], *values: Array
     ) -> tuple[Rows, list[Array]]:
-        """Return values [R, ...] at a fixed rate from each episode's first row on, between rows by linear interpolation.
+        """Return values at a fixed rate from each episode's first row on, by linear interpolation between rows.
 
         Args:
-            time_ns: Time of each row [R].
-            period_ns: Time from one sample to the next in each episode [E].
+            time_ns: Time of each row [ns], shape [R].
+            period_ns: Sampling period of each episode [ns], shape [E].
             values: Arrays [R, ...].
 
         Returns:
-            The rows that the samples are, and the samples of each array.
+            The `Rows` of the samples, and the samples of each array.
         """
         since, shift = self._since(time_ns)
         counts = since[self.ends - 1] // period_ns + 1

@@ -1,1 +1,1 @@
-"""Scenes as USD: `writing` makes stages that Isaac, Blender and Omniverse open, `reading` makes scenes from any stage."""
+"""Scenes as USD: `writing` makes stages for Isaac, Blender and Omniverse, and `reading` makes scenes from any stage."""

@@ -15,16 +15,16 @@ from h3data_worlds.usd.stages import OpenStage, pxr
 from h3data_worlds.usd.surfaces import prim_axis, prim_size
 
 MAX_PIECES = 64
-"""Largest number of connected pieces of a mesh; one with more becomes one hull."""
+"""Largest number of connected pieces of a mesh with one hull each; a mesh with more gets a single hull."""
 HALF_MIN_M = 1e-3
-"""Least half extent of a box around flat things [m]."""
+"""Least half extent of a box around flat objects [m]."""
 _WELD_M = 1e-5
 _SQUARE = 1e-6
 """Largest difference of scales and of axes from right angles that is rounding."""
 
 
 def is_collider(prim: Any) -> bool:
-    """Return whether things collide with a prim."""
+    """Return whether a prim has collisions enabled."""
     physics = pxr("UsdPhysics")
     return prim.HasAPI(physics.CollisionAPI) and physics.CollisionAPI(prim).GetCollisionEnabledAttr().Get() is not False
 
@@ -35,10 +35,10 @@ def collider_shapes(
     """Return the shapes of a collider in the frame of its asset.
 
     Args:
-        opened: The stage.
+        opened: Open stage.
         prim: A prim with `UsdPhysics.CollisionAPI`.
-        mesh: Its mesh, in its own frame.
-        matrix: Transform from its frame to that of the asset, both +Y up, in metres; it may scale.
+        mesh: Mesh of the prim, in the prim's frame.
+        matrix: Transform from the prim's frame to that of the asset, both +Y up, in metres; it may scale.
         moves: True for bodies that move, whose triangles are never exact colliders.
     """
     kind = prim.GetTypeName()
@@ -71,7 +71,7 @@ def collider_shapes(
 
 
 def hulls_of(points: Array, faces: NDArray[np.int32]) -> list[Shape]:
-    """Return the convex hull of each connected piece of a mesh, or one of all if there are many."""
+    """Return the convex hull of each connected piece of a mesh, or one hull of all if there are many."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -89,7 +89,7 @@ def hulls_of(points: Array, faces: NDArray[np.int32]) -> list[Shape]:
 
 
 def hull_around(points: Array) -> Shape:
-    """Return the convex hull of points [N, 3]; a box if they are flat."""
+    """Return the convex hull of points [N, 3], or a box if they are flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -99,7 +99,7 @@ def hull_around(points: Array) -> Shape:
 
 
 def box_around(points: Array) -> Box:
-    """Return the box along the axes around points [N, 3]."""
+    """Return the axis-aligned box around points [N, 3]."""
     low, high = np.asarray(points.min(0), np.float64), np.asarray(points.max(0), np.float64)
     pose = np.concatenate([(low + high) / 2, IDENTITY_QUAT])
     return Box(pose=pose, half_extents=np.maximum((high - low) / 2, HALF_MIN_M))

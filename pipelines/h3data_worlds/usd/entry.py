@@ -12,7 +12,7 @@ from h3data_worlds.usd.stages import USD_ENDINGS
 
 
 def read_scene(file: SceneFile) -> Scene:
-    """Read a USD file with the options of the file; fail as `h3data_worlds.usd.reading.read_usd` does."""
+    """Read a USD file with the options of ``file``, as `h3data_worlds.usd.reading.read_usd` does."""
     path = Path(file.path)
 
     def read() -> tuple[Scene, Sequence[str] | None]:

@@ -1,4 +1,4 @@
-"""Joints of UsdPhysics as joints of articulated things."""
+"""Conversion of UsdPhysics joints to joints of articulated objects."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class _Link:
 
 
 class JointReader:
-    """Reader of the joints of a stage as articulated things."""
+    """Reader of the joints of a stage as articulated objects."""
 
     def __init__(self, opened: OpenStage, notes: dict[str, None]) -> None:
         self.opened, self.notes = opened, notes
@@ -49,7 +49,7 @@ class JointReader:
     def read(
         self, prims: Iterable[Any], members: Mapping[str, list[str]], names: Mapping[str, str]
     ) -> list[Articulation]:
-        """Return the things that open.
+        """Return the articulated objects of the stage.
 
         Args:
             prims: All joints of the stage.

@@ -1,4 +1,4 @@
-"""Triangulation of polygons: by fans where possible, else by cutting off ears."""
+"""Triangulation of polygons by fans if possible, or else by ear clipping."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ MAX_CORNERS = 1000
 def triangles_of(
     points: Array, counts: NDArray[np.int64], indices: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return triangles [F, 3] of polygons as places in ``indices``, and the polygon of each [F].
+    """Return triangles [F, 3] of polygons as positions in ``indices``, and the polygon of each [F].
 
     Args:
         points: Vertices [N, 3].
-        counts: Corners of each polygon, shape [P].
-        indices: Vertices of all corners, shape [sum of counts].
+        counts: Number of corners of each polygon, shape [P].
+        indices: Vertex index of each corner, shape [sum of counts].
 
     Raises:
         ValueError: a polygon that no fan fits has more than `MAX_CORNERS` corners.

@@ -1,8 +1,8 @@
-"""Reading of a USD stage as a scene.
+"""Reader of USD stages as scenes.
 
-Each prim with a semantic label, a rigid body, an instance of a prototype, a copy of a point instancer and a model of kind
-``component`` is an instance with all that lies below it; a surface that is in none of these is one of its own. Rigid bodies
-that no joint holds can be moved. What h3data wrote comes back with rooms, receptacles and names.
+An instance is a prim with a semantic label, a rigid body, an instance of a prototype, a copy of a point instancer, or a
+model of kind ``component``, with all prims below it. Any other surface is an instance of its own. Rigid bodies without
+a joint can be moved. Stages that h3data wrote keep their rooms, receptacles and names.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ _EMPTY = Mesh(
 
 
 def read_usd(path: Any, *, allow_missing: bool = False, strict: bool = False) -> tuple[Scene, list[str] | None]:
-    """Return the scene of a USD file, and the files on which it depends; None for them if some are missing.
+    """Return the scene of a USD file, and the files on which it depends (None if some are missing).
 
-    `Scene.source` has what was left out or guessed (``warnings``). The world of the scene has +Y up and metres, whatever the
-    stage has (``upAxis``, ``metersPerUnit``).
+    `Scene.source` lists what was omitted or guessed (``warnings``). The world of the scene has +Y up and metres for any
+    ``upAxis`` and ``metersPerUnit`` of the stage.
 
     Args:
         path: A ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file.
-        allow_missing: True to leave out, with a warning, what refers to files that are not there.
+        allow_missing: True to omit, with a warning, content that refers to missing files.
         strict: True to make warnings errors.
 
     Raises:
         MissingExtraError: usd-core is not installed.
         FormatError: the file is not a USD file, or is damaged.
-        MissingAssetError: files are missing to which the stage refers.
-        SceneError: there is nothing in it, or too much; with ``strict`` also any warning.
+        MissingAssetError: files to which the stage refers are missing.
+        SceneError: the stage is empty or too large; with ``strict`` also any warning.
     """
     opened = open_stage(path)
     with reading(path):

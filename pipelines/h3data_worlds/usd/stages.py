@@ -1,4 +1,4 @@
-"""Stages of USD files: opened without side effects, with a list of everything missing or faulty in them."""
+"""Opening of USD stages without side effects, with a list of missing files and faults."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, MissingExtraError
 
 USD_ENDINGS = (".usd", ".usda", ".usdc", ".usdz")
-"""Endings of USD files, in lower case."""
+"""File name endings of USD files, in lower case."""
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 _X_UP = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 _UNITS_M = (1e-6, 1e6)
@@ -35,7 +35,7 @@ def pxr(module: str) -> Any:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep USD from printing."""
+    """Suppress the messages of USD within a ``with`` block."""
     delegate = pxr("UsdUtils").CoalescingDiagnosticDelegate()
     try:
         yield
@@ -45,7 +45,7 @@ def quiet() -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Keep USD from printing, and name a damaged file: much of a file is only decoded when it is used.
+    """Suppress the messages of USD in a ``with`` block, and report damaged files, which are decoded when used.
 
     Raises:
         FormatError: the file, or one that it refers to, is damaged.
@@ -61,7 +61,7 @@ def reading(path: Path) -> Iterator[None]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenStage:
-    """An open stage with its conventions."""
+    """Open stage with its units, axes, missing files and faults."""
 
     path: Path
     stage: Any
@@ -73,20 +73,20 @@ class OpenStage:
     missing: tuple[str, ...]
     """Referenced files that do not exist."""
     faults: tuple[str, ...]
-    """Other faults of composition, such as references in a circle."""
+    """Descriptions of other faults of composition, such as circular references."""
 
     def in_metres(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a transform [4, 4] between frames of the stage as one between the same frames with +Y up, in metres."""
+        """Return a transform [4, 4] between frames of the stage, converted to metres and +Y up."""
         out = self.turn @ matrix @ self.turn.T
         out[:3, 3] *= self.metres
         return out
 
     def points(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return points [N, 3] of a frame of the stage in that frame with +Y up [m]."""
+        """Return points [N, 3] in a frame of the stage, converted to metres and +Y up."""
         return self.metres * (np.asarray(points, np.float64) @ self.turn[:3, :3].T)
 
     def directions(self, vectors: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the directions [N, 3] of a frame of the stage in that frame with +Y up."""
+        """Return directions [N, 3] in a frame of the stage, converted to +Y up."""
         return np.asarray(vectors, np.float64) @ self.turn[:3, :3].T
 
 
@@ -135,7 +135,7 @@ def _refuse_outside(stage: Any, path: Path) -> None:
 
 
 def is_inside(resolved: str, path: Path) -> bool:
-    """Return whether a file that a stage refers to may be read: those of a package have to be in it."""
+    """Return whether a file to which a stage refers may be read; files of a package must be inside it."""
     return path.suffix.lower() != ".usdz" or resolved.startswith(
         (f"{path.resolve()}[", f"{path}[", f"{path.absolute()}[")
     )

@@ -1,7 +1,8 @@
-"""Surfaces of a stage: visible prims as meshes with colours and textures.
+"""Conversion of a stage's visible prims to meshes with colours and textures.
 
-Read are polygons (the control cage of subdivided ones), boxes, balls, cylinders, cones, capsules and planes;
-`UsdPreviewSurface` (colour, image, vertex colours) and the base colour and image of Omniverse's materials.
+It supports polygons (subdivided ones by their control cage), boxes, balls, cylinders, cones, capsules and planes.
+Materials are `UsdPreviewSurface` (colour, image, vertex colours), and the base colour and image of Omniverse's
+materials.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ from h3data_worlds.usd.polygons import triangles_of
 from h3data_worlds.usd.stages import OpenStage, is_inside, pxr
 
 MAX_TRIANGLES = 20_000_000
-"""Largest number of triangles of all prims of a stage, counted where they are stored."""
+"""Largest number of triangles of all prims of a stage, where instanced ones are counted once."""
 _GRAY = (0.5, 0.5, 0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """The colour and image of a material; a colour of None is that of the vertices."""
+    """Colour and image of a material; a colour of None stands for vertex colours."""
 
     color: tuple[float, float, float] | None = None
-    """Colour in linear light."""
+    """Colour in linear RGB; None stands for vertex colours."""
     texture: Texture | None = None
     st: str = "st"
     """Name of the texture coordinates."""
@@ -40,13 +41,13 @@ class Look:
 
 @dataclass(kw_only=True, eq=False)
 class SurfaceReader:
-    """Reader of the surfaces of one stage; it reads materials and images once."""
+    """Reader of the surfaces of one stage, which reads each material and image once."""
 
     open: OpenStage
     ours: bool = False
-    """True if h3data wrote the stage: images are then multiplied with the colours of vertices."""
+    """True if h3data wrote the stage, so that images are multiplied by vertex colours."""
     notes: dict[str, None] = field(default_factory=dict)
-    """Sentences on left-out content, in order."""
+    """Sentences on omitted content, in order."""
     missing: dict[str, None] = field(default_factory=dict)
     """Names of images that do not exist."""
     triangles: int = 0
@@ -54,7 +55,7 @@ class SurfaceReader:
     _images: dict[str, Texture | None] = field(default_factory=dict)
 
     def mesh(self, prim: Any) -> Mesh | None:
-        """Return the mesh of a prim in its own frame, +Y up [m]; None, with a note, if it has no triangles that can be used."""
+        """Return the mesh of a prim in its own frame with +Y up [m]; None, with a note, if it has no usable triangles."""
         maker = MAKERS.get(prim.GetTypeName())
         if maker is None:
             self.notes[f"{prim.GetTypeName()} prims are not read, such as {prim.GetPath()}"] = None
@@ -75,7 +76,7 @@ class SurfaceReader:
 
     @property
     def files(self) -> set[str]:
-        """Image files that were read."""
+        """Paths of the image files that were read."""
         return set(self._images)
 
     # --- polygons -------------------------------------------------------------------------------------------------------
@@ -271,7 +272,7 @@ class SurfaceReader:
 
     # --- other prims ----------------------------------------------------------------------------------------------------
     def painted(self, prim: Any, mesh: Mesh) -> Mesh:
-        """Return the mesh of a prim without points, in the colour of its material or its own."""
+        """Return the mesh of a shape prim in the colour of its material, or else in its display colour."""
         look = self._bound(prim)
         display = _variable(pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("displayColor"))
         color = look.color or (tuple(display[0][0]) if display is not None and len(display[0]) else _GRAY)
@@ -283,7 +284,7 @@ class SurfaceReader:
 
 
 def prim_size(prim: Any, name: str, default: float, *, least: float = 1e-9) -> float:
-    """Return a positive length of a prim, in units of the stage; ``default`` if it has none.
+    """Return a positive length attribute of a prim in units of the stage, or ``default`` if it has none.
 
     Raises:
         ValueError: it is not a positive number.

@@ -1,4 +1,4 @@
-"""Grouping of the prims of a stage into things: which surfaces and colliders belong together, and which move as one body."""
+"""Grouping of the prims of a stage into instances, which have surfaces and colliders that move together."""
 
 from __future__ import annotations
 
@@ -18,39 +18,39 @@ from h3data_worlds.usd.surfaces import MAKERS
 KEY = "h3data"
 """Key of h3data's records in ``customData``."""
 MAX_PRIMS = 2_000_000
-"""Largest number of prims of a stage, those of instances counted each time."""
+"""Largest number of prims of a stage, where prims of instances are counted each time."""
 MAX_COPIES = 200_000
-"""Largest number of things in a stage, including the copies of point instancers and instances of instances."""
+"""Largest number of instances in a stage, including copies of point instancers and nested instances."""
 _SHOWN = ("default", "render")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gprim:
-    """A prim with a surface, and its place."""
+    """Prim with a surface, and its transform."""
 
     prim: Any
     world: NDArray[np.float64]
-    """Transform to the world of the stage, in its units, shape [4, 4]."""
+    """Transform from the prim to the world of the stage, in its units, shape [4, 4]."""
     shown: bool
     collides: bool
 
 
 @dataclass(kw_only=True, eq=False)
 class Thing:
-    """A future instance: the prims at and below ``prim`` that belong to no thing further down."""
+    """Future instance of the scene: the prims at and below ``prim`` that belong to no instance further down."""
 
     prim: Any
     name: str
     world: NDArray[np.float64]
-    """Transform from the thing's prim to the world of the stage, shape [4, 4]."""
+    """Transform from the instance's prim to the world of the stage, shape [4, 4]."""
     body: str
-    """Path of the rigid body of the thing; empty if it is part of none."""
+    """Path of the rigid body to which the instance belongs; empty if there is none."""
     label: str = ""
-    """Semantic label of the thing; empty if it has none."""
+    """Semantic label of the instance; empty if it has none."""
     shared: str = ""
-    """Key that is equal for copies of the same thing; empty if unknown."""
+    """Key that copies of the same object share; empty if unknown."""
     loose: bool = False
-    """True for a single surface that is not marked as a thing, such as a wall."""
+    """True for a single surface that is not marked as an object, such as a wall."""
     gprims: list[Gprim] = field(default_factory=list)
 
 
@@ -58,7 +58,7 @@ def records_of(prim: Any) -> Mapping[str, Any]:
     """Return h3data's record at a prim; empty if it has none.
 
     Raises:
-        FormatError: it is not JSON.
+        FormatError: the record is not JSON.
     """
     text = prim.GetCustomDataByKey(KEY)
     if text is None:
@@ -98,7 +98,7 @@ def label_of(prim: Any) -> str:
 
 
 class ThingFinder:
-    """Walk over a stage, once, from parents to children."""
+    """Traversal of a stage, from parents to children, that assigns prims to instances."""
 
     def __init__(self, opened: OpenStage) -> None:
         self.opened = opened
@@ -122,10 +122,10 @@ class ThingFinder:
         self._model = usd.ModelAPI
 
     def walk(self) -> None:
-        """Assign all prims to things.
+        """Assign all prims to instances.
 
         Raises:
-            SceneError: there are too many.
+            SceneError: there are too many prims or instances.
         """
         usd = pxr("Usd")
         walk = iter(usd.PrimRange(self.opened.stage.GetPseudoRoot(), usd.TraverseInstanceProxies()))

@@ -1,8 +1,9 @@
-"""Writing of a scene as a USD stage: +Y up, metres, one prim per instance, which references the prim of its asset.
+"""Writer of scenes as USD stages with +Y up, metres, and one prim per instance, which references its asset.
 
-Meshes carry vertex colours and UsdPreviewSurface materials; collision shapes are guide prims with `UsdPhysics.CollisionAPI`;
-doors and drawers are bodies with revolute and prismatic joints; categories are labels of `UsdSemantics`. Data without a place
-in USD (rooms, receptacles, layers, handles) and numbers that USD keeps in single precision are JSON in ``customData``.
+Meshes have vertex colours and UsdPreviewSurface materials. Collision shapes are guide prims with
+`UsdPhysics.CollisionAPI`. Doors and drawers are bodies with revolute and prismatic joints. Categories are labels of
+`UsdSemantics`. Data without a place in USD (rooms, receptacles, layers, handles) and numbers that USD keeps in single
+precision are JSON in ``customData``.
 """
 
 from __future__ import annotations
@@ -53,13 +54,13 @@ _LIGHT_UNIT = 1000.0
 
 
 def write_usd(scene: Scene, path: str | os.PathLike[str]) -> list[Path]:
-    """Write a scene as ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``, and return the files, textures included.
+    """Write a scene as ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``, and return all written files.
 
-    A ``.usdz`` holds its textures; the others have them as PNG in a folder ``<name>_textures``.
+    A ``.usdz`` file contains its textures. The other formats have them as PNG in a folder ``<name>_textures``.
 
     Raises:
         MissingExtraError: usd-core is not installed.
-        InputError: the name has another ending, or the file cannot be written.
+        InputError: the file name has another ending, or the file cannot be written.
         SceneError: vertices are not finite.
     """
     path = Path(path)

@@ -1,1 +1,1 @@
-"""Built-in apps."""
+"""Built-in apps for live play: rearrangement, following, tele-operation and tutorial."""

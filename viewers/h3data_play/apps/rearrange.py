@@ -1,4 +1,4 @@
-"""Rearrangement: a person, or a player who steers the robot, brings things to their places."""
+"""Rearrangement app: a person, or a player who drives the robot, brings objects to their goals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Follow me: a person walks about at home, a robot has to find and follow them."""
+"""Social navigation app: a person walks through a home, and a robot has to find and follow them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sim_kinematic.tasks.task import Task
 
 
 class FollowMeApp(App):
-    """App in which the person walks where they like and the robot follows at 1 to 2 m."""
+    """App in which the player walks freely and the robot follows at a distance of 1 to 2 m."""
 
     task: ClassVar[str | type[Task]] = SocialNav
     rules: ClassVar[Mapping[str, Any]] = {"max_steps": 2700, "end_on_collision": False, "solid_agents": True}

@@ -1,4 +1,4 @@
-"""Tele-operation: a player drives the robot, takes things with its arm and brings them to their places."""
+"""Tele-operation app: a player drives the robot, grasps objects with its arm, and brings them to their goals."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from sim_kinematic.tasks.runner import Session, StepResult
 
 
 class TeleopApp(RearrangeApp):
-    """App of an operator who drives the robot alone, or beside a person who follows a policy (``--partner``)."""
+    """App in which an operator drives the robot, alone or next to a person who follows a policy (``--partner``)."""
 
     seats: ClassVar[tuple[str, ...]] = ("robot",)
     partner: ClassVar[str | None] = "solo"
 
     def reset(self, session: Session) -> None:
-        """Start a session with all counts at 0."""
+        """Start an episode with all counts at 0."""
         super().reset(session)
         self.drivers: dict[int, Driver] = {}
         self.bumps = self.touches = 0
         self._was = {"metrics.robot_contact": False, "metrics.collision": False}
 
     def driver(self, number: int) -> Driver:
-        """Return the driver of an agent, which the text about its hand needs later."""
+        """Return the driver of an agent, and store it for the text about its hand."""
         driver = self.drivers[number] = super().driver(number)
         return driver
 

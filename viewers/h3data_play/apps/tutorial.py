@@ -1,4 +1,4 @@
-"""Tutorial: walk to a mark, look at a thing, take it, bring it to its place. Nobody else is at home."""
+"""Tutorial app: a player alone in a home walks to a mark, looks at an object, takes it, and brings it to its goal."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from h3data_play.messages import Act, Drop, Give, Pick, Place
 from sim_kinematic.tasks.runner import Session, StepResult
 
 MARK_AHEAD_M = 2.5
-"""Distance from the start to the mark along the path to the thing or its place; less where that path is short."""
+"""Distance from the start to the mark along the path to the object or its goal [m]; shorter if that path is short."""
 SNAP_M = 5.0
 """Distance within which the path to a thing on furniture ends on the nearest floor [m]."""
 AT_MARK_M = 0.5
 LOOKS_RAD = 0.35
 LOOK_STEPS = 15
-"""Number of steps for which a player has to look at the thing: one who happens to face it would never see the step."""
+"""Number of steps for which a player has to look at the object, so that a player who happens to face it sees the step."""
 WALK, LOOK, TAKE, PUT = range(4)
 HOW: Mapping[int, Mapping[str, str]] = {
     WALK: {
@@ -41,17 +41,17 @@ HOW: Mapping[int, Mapping[str, str]] = {
         "headset": "Turn until you face it.",
     },
 }
-"""Keys for the steps that only the tutorial has; the page's own hints explain taking and putting down."""
+"""Instructions for the steps that only the tutorial has, by step and device; the page's hints explain the other steps."""
 
 
 class TutorialApp(RearrangeApp):
-    """App of the tutorial, which is passed, with the end ``success``, when all steps are done."""
+    """App of the tutorial, which ends with ``success`` when all steps have been completed."""
 
     rules: ClassVar[Mapping[str, Any]] = {**RearrangeApp.rules, "objects": 1, "max_steps": 18_000}
     partner: ClassVar[str | None] = "solo"
 
     def reset(self, session: Session) -> None:
-        """Start a session in which no player has done a step of the tutorial."""
+        """Start an episode in which no player has completed a step of the tutorial."""
         super().reset(session)
         self.drivers: dict[int, Driver] = {}
         self.marks: dict[int, Array] = {}
@@ -59,13 +59,13 @@ class TutorialApp(RearrangeApp):
         self.looked: dict[int, int] = {}
 
     def driver(self, number: int) -> Driver:
-        """Return the driver of an agent, for whom a mark on the floor is chosen."""
+        """Return the driver of an agent, and choose a mark on the floor for its player."""
         driver = self.drivers[number] = super().driver(number)
         self.marks[number] = self._mark(number)
         return driver
 
     def refusal(self, number: int, message: Act) -> str:
-        """Return the request to do earlier steps first, for a player who takes or places something too early."""
+        """Return a request to complete earlier steps first if a player takes or places the object too early."""
         step = self.step_of(number)
         if step < TAKE and isinstance(message, Pick | Place | Drop | Give):
             first = (
@@ -75,7 +75,7 @@ class TutorialApp(RearrangeApp):
         return ""
 
     def step(self, result: StepResult) -> str:
-        """Note which players have reached their mark or look at the object."""
+        """Record which players have reached their mark or look at the object."""
         for number, driver in self.drivers.items():
             xz, heading = driver.place
             step = self.step_of(number)
@@ -87,7 +87,7 @@ class TutorialApp(RearrangeApp):
         return super().step(result)
 
     def hud(self, number: int) -> Hud:
-        """Return the present step of the tutorial, and all steps as a list."""
+        """Return the current step of the tutorial, and all steps as a list."""
         current = self.step_of(number)
         thing, goal, go = self.thing, self.goals()[0].label, self._go(number)
         short = f"{go} to the white ring", f"Look at the {thing}", f"Take the {thing}", f"Put it on the {goal}"
@@ -106,13 +106,16 @@ class TutorialApp(RearrangeApp):
         return Hud(task=tasks[step], left_s=None, lines=tuple(lines), how=HOW.get(step, {}), marker=mark)
 
     def over(self, number: int) -> str:
-        """Return the text at the end: praise if the tutorial is passed."""
+        """Return the text at the end of the tutorial, with praise if it was passed."""
         if self.session.ended == "success":
             return "You have done all steps: you can walk, look, take things and put them where they belong."
         return super().over(number)
 
     def step_of(self, number: int) -> int:
-        """Return the step that an agent's player is at; `PUT` + 1: all are done. A spectator sees the first player's."""
+        """Return the tutorial step of an agent's player; `PUT` + 1 means that all are completed.
+
+        Spectators see the step of the first player.
+        """
         number = number if number in self.drivers else next(iter(self.drivers), number)
         if not self.walked.get(number):
             return WALK
@@ -125,7 +128,7 @@ class TutorialApp(RearrangeApp):
 
     @property
     def thing(self) -> str:
-        """Word for the object."""
+        """Name of the object to take, as players read it."""
         return self.label(self.session.episode.targets[0].name)  # type: ignore[attr-defined]
 
     def _go(self, number: int) -> str:

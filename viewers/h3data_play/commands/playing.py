@@ -47,8 +47,8 @@ DEFAULT_OUT = Path("out/play")
 class Play:
     """Play an episode live in the browser, and record it.
 
-    Opens the page and prints its address. Ctrl-C ends it and keeps what was played. The same command on the folder of a
-    session that was killed goes on with it. Needs the extra hitl.
+    The command opens the page and prints its address. Ctrl-C ends the session and saves what was played. The same
+    command on the folder of a killed session continues it. Needs the extra hitl.
 
     Examples:
         h3data play rearrange
@@ -62,21 +62,21 @@ class Play:
     """
 
     app: tyro.conf.Positional[str]
-    """rearrange: bring two objects to their places. social_nav: walk about while a robot has to find and follow you.
-    tutorial: walk, look, take and place, one step after the other. teleop: drive the robot, take and place with its arm.
-    language: carry out an instruction in words. Or module:Class, an app or a task of your own (h3data docs play)."""
+    """rearrange: bring two objects to their places. social_nav: walk freely while a robot has to find and follow you.
+    tutorial: learn to walk, look, take and place. teleop: drive the robot, take and place with its arm. language: carry
+    out an instruction in words. module:Class: a custom app or task (h3data docs play)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the recordings (default: a new one below out/play)."""
     seats: Annotated[tuple[str, ...], tyro.conf.arg(name="as")] = ()
-    """person, robot, or several, each with a link of its own: person,robot or person,person. spectator
-    adds the link of somebody who watches (default: the app's; teleop robot, the others person)."""
+    """person, robot, or several, each with a link of its own: person,robot or person,person. spectator adds a link for
+    watching (default: the role of the app: robot for teleop, person for the others)."""
     partner: str | None = None
-    """Policy of everybody whom nobody plays: a name as in generate, weights:FILE, or solo (nobody is added; the default of
-    tutorial and teleop)."""
+    """Policy of the agents without a player: a name as in generate, weights:FILE, or solo for no such agents (the
+    default of tutorial and teleop)."""
     scenes: tuple[str, ...] = ("small",)
     """Homes to play in, as in generate."""
     seed: int = 0
-    """Homes and episodes follow from it."""
+    """Random seed for homes and episodes."""
     episodes: int = 1
     """Number of episodes, one after the other."""
     seconds: float | None = None

@@ -1,4 +1,4 @@
-"""Server of live play as a process of its own: its options on the command line, its start and its messages."""
+"""Start of a live-play server as a separate process, with its command-line options and its messages to the user."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ def serving_options(
     behind_proxy: bool,
     allow_hosts: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return the options of the server process, checked.
+    """Check and return the options of the server process.
 
     Raises:
-        InputError: they are impossible, or aiohttp is missing.
+        InputError: an option is invalid, or aiohttp is missing.
     """
     require_aiohttp(what)
     if not 0 <= port < 65536:
@@ -82,17 +82,17 @@ def require_aiohttp(what: str) -> None:
     """Check that the package aiohttp is installed.
 
     Raises:
-        InputError: it is missing.
+        InputError: aiohttp is not installed.
     """
     if importlib.util.find_spec("aiohttp") is None:
         raise InputError(f"{what} needs the package aiohttp. Hint: pip install 'h3data[hitl]'", code="H3-PLAY-008")
 
 
 def run_server(module: str, options: dict[str, Any], heard: Callable[[dict[str, Any]], None]) -> None:
-    """Run a server, the process ``python -m module``, until it ends; ``heard`` gets its reports.
+    """Run a server, the process ``python -m module``, until it ends; ``heard`` is called with its reports.
 
     Raises:
-        H3DataError: it ended with a fault.
+        H3DataError: the server ended with an error.
         KeyboardInterrupt: after Ctrl-C, once the server has ended.
     """
     process = _start(module, options)
@@ -118,11 +118,11 @@ def run_server(module: str, options: dict[str, Any], heard: Callable[[dict[str, 
 
 @contextmanager
 def started_server(module: str, options: dict[str, Any]) -> Iterator[tuple[list[list[str]], Iterator[dict[str, Any]]]]:
-    """Start a server for a block; it yields the links of its seats and an iterator of its reports.
+    """Start a server for a ``with`` block; yield the links of its seats and an iterator of its reports.
 
     Raises:
-        InputError: it refuses what it should serve.
-        H3DataError: it ended before it listened.
+        InputError: the server refuses its options.
+        H3DataError: the server ended before it listened.
     """
     process = _start(module, options)
     assert process.stdin is not None
@@ -163,7 +163,7 @@ def _start(module: str, options: dict[str, Any]) -> subprocess.Popen[bytes]:
 
 
 def say_disk(disk: dict[str, Any], folder: Path) -> None:
-    """Say that the disk of a session's folder is full, or that there is space again."""
+    """Print that the disk of a session's folder is full, or that there is space again."""
     if disk["is_full"]:
         say(
             f"Nothing more can be written to {folder} ({disk['why']}). Who plays is told to wait, and nothing that was "

@@ -1,6 +1,6 @@
-"""Planning a study with people, its power, and the estimated means of its conditions with their contrasts.
+"""Planning of a study with people, its statistical power, and the estimated means of its conditions with contrasts.
 
-`tables` and `ranks` are its part of ``h3data report``.
+`tables` and `ranks` provide the study sections of ``h3data report``.
 """
 
 from h3data_studies.analysis.estimates import Estimate, FittedMeans, StudyAnalysis, StudyModel, analyse_study

@@ -1,9 +1,10 @@
 """Analysis of a study with people: estimated means per condition and their contrasts, from the metrics of its episodes.
 
-After Habitat 3.0 (appendix, "Human-in-the-loop (HITL) Evaluation"): task completion steps by a Poisson mixed model with random
-intercepts of participants and scenes, 0/1 metrics by a binomial one, relative efficiency as a ratio of estimated means. The
-paper does not say what it did about over-dispersion, which counts of people's steps nearly always show; here a model with an
-observation-level effect is fitted as well, so that no p value stands alone whose standard error is known to be too small.
+The analysis follows Habitat 3.0 (appendix, "Human-in-the-loop (HITL) Evaluation"). Task completion steps have a Poisson
+mixed model with random intercepts of participants and scenes, and 0/1 metrics a binomial one. Relative efficiency is a
+ratio of estimated means. The paper does not mention over-dispersion, which counts of people's steps nearly always have.
+A model with an observation-level effect is therefore fitted as well, because the standard errors of the Poisson model
+are then too small.
 """
 
 from __future__ import annotations
@@ -37,17 +38,17 @@ GROUPS = ("participant", "scene")
 
 @dataclass(frozen=True, kw_only=True)
 class StudyModel:
-    """Model of a study: the choices of its analysis."""
+    """Choices of the statistical analysis of a study."""
 
     steps: StepsModel = "auto"
-    """Model of the steps. ``poisson``: the paper's. ``observation``: with a random intercept per episode, for counts
-    that vary more than Poisson allows. ``auto``: the paper's unless it is over-dispersed. An over-dispersed model never
-    appears alone."""
+    """Model of the steps. ``poisson`` is the paper's model. ``observation`` adds a random intercept per episode, for
+    counts that vary more than Poisson allows. ``auto`` is the paper's model unless it is over-dispersed. An
+    over-dispersed model never appears alone."""
     failed: FailedEpisodes = "leave-out"
     """Treatment of episodes without success: left out, as they have no steps to success, or counted as the longest
     duration E (``limit``)."""
     random: tuple[str, ...] = GROUPS
-    """Random intercepts; those with one level are left out."""
+    """Columns with random intercepts; columns with only one level are ignored."""
 
     def __post_init__(self) -> None:
         for name, value, choices in (("steps", self.steps, StepsModel), ("failed", self.failed, FailedEpisodes)):
@@ -63,7 +64,7 @@ class StudyModel:
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """Mean of a metric under a condition."""
+    """Estimated mean of a metric under a condition, with its interval."""
 
     mean: float = NAN
     low: float = NAN
@@ -75,7 +76,7 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FittedMeans:
-    """Model of the compared metric, with its means and their pairwise differences."""
+    """Fitted model of the compared metric, with its means and their pairwise differences."""
 
     label: str
     """Name of the model: ``Poisson``, ``Poisson with an observation effect``, ``binomial``."""
@@ -87,10 +88,10 @@ class FittedMeans:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StudyAnalysis:
-    """Estimated means by condition, and contrasts of one metric."""
+    """Results of a study: estimated means by condition, and contrasts of one metric."""
 
     conditions: tuple[str, ...]
-    """Names of the conditions, people alone first."""
+    """Names of the conditions; that of people alone is first."""
     participants: int
     episodes: Mapping[str, int]
     """Number of episodes by condition."""
@@ -100,7 +101,7 @@ class StudyAnalysis:
     compared: str
     """Name of the metric whose means are contrasted; empty if none could be."""
     models: tuple[FittedMeans, ...]
-    """Models of the compared metric: the one of the table first, then one for comparison if either is unsound."""
+    """Fitted models of the compared metric: first the model of the table, then one for comparison if either is unsound."""
     notes: tuple[str, ...]
 
     def to_text(self) -> str:
@@ -152,9 +153,9 @@ class StudyAnalysis:
 
 
 def study_layout(profile: Profile) -> StudyLayout:
-    """Return how a study analyses a profile's metrics.
+    """Return the rules by which a study analyses a profile's metrics.
 
-    A profile may declare this. Otherwise all its metrics are analysed, and its number of steps, if it has one, is
+    A profile may declare them. Otherwise all its metrics are analysed, and its number of steps, if it has one, is
     contrasted.
     """
     if profile.report.study is not None:
@@ -167,12 +168,12 @@ def study_layout(profile: Profile) -> StudyLayout:
 def analyse_study(
     episodes: Sequence[EpisodeMetrics], profile: Profile, model: StudyModel | None = None
 ) -> StudyAnalysis:
-    """Analyse the episodes of participants under conditions.
+    """Estimate means and contrasts from the episodes of a study's participants.
 
     Args:
         episodes: Metrics with participant and condition; others are left out.
         profile: Profile of metrics with which they were measured.
-        model: Choices (default: `StudyModel`).
+        model: Choices of the analysis (default: `StudyModel`).
 
     Raises:
         InputError: there are fewer than two conditions or participants.
@@ -337,7 +338,7 @@ class _Analyser:
 
 
 def without_hint(note: str) -> str:
-    """Return a note of a fit without its hint to users of Python."""
+    """Return a note about a fit without its hint on how to call the function from Python."""
     return note.partition(" Hint:")[0]
 
 

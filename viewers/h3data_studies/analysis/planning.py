@@ -1,4 +1,4 @@
-"""Planning a study with people: balanced orders of conditions, a session manifest per participant."""
+"""Planning of a study with people: balanced orders of conditions, and a session manifest per participant."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Block:
 
 @dataclass(frozen=True, kw_only=True)
 class Session:
-    """Everything one participant does, in order: training, then the blocks. Stored as the manifest of a session."""
+    """Plan of one participant's session, which is stored as a manifest: training episodes, then the blocks."""
 
     study: str
     participant: str
@@ -39,10 +39,10 @@ class Session:
 
 
 def latin_square(conditions: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Return orders of ``conditions`` balanced for position and for the preceding condition: N orders, or 2 N if N is odd.
+    """Return N orders of ``conditions`` (2 N if N is odd), balanced for position and for the preceding condition.
 
-    Each condition is equally often at each position, and follows each other condition equally often (J. V. Bradley 1958,
-    "Complete Counterbalancing of Immediate Sequential Effects in a Latin Square Design").
+    Each condition occurs equally often at each position, and follows each other condition equally often (J. V. Bradley
+    1958, "Complete Counterbalancing of Immediate Sequential Effects in a Latin Square Design").
     """
     count = len(conditions)
     if count < 2 or len(set(conditions)) != count:
@@ -64,19 +64,19 @@ def plan_sessions(
     study: str = "study",
     seed: int = 0,
 ) -> tuple[Session, ...]:
-    """Return one session per participant: every condition once, each in one scene, no episode twice for the same person.
+    """Return one session per participant, with every condition once in one scene and without repeated episodes.
 
-    Orders come from `latin_square` in turn, so they balance whenever the number of participants is a multiple of theirs.
-    Scenes rotate over participants and conditions: participant and scene are crossed, not nested. The assignment of orders
-    and episodes to participants is random with ``seed``.
+    Orders come from `latin_square` in turn, so they balance whenever the number of participants is a multiple of
+    theirs. Scenes rotate over participants and conditions: participant and scene are crossed, not nested. The
+    assignment of orders and episodes to participants is random with ``seed``.
 
     Args:
-        participants: Ids (see `h3data.pseudonyms.anonymous_id`), or their number: then P01, P02, ...
-        conditions: Names such as solo, learn_single, plan_pop3.
+        participants: Ids (see `h3data.pseudonyms.anonymous_id`), or a number of participants (ids P01, P02, ...).
+        conditions: Names of conditions, such as solo, learn_single, plan_pop3.
         episodes: Episode ids by scene.
         episodes_per_condition: Episodes of each block.
         training_episodes: Episodes before the first block, in its scene.
-        study: Name in the manifests.
+        study: Name of the study in the manifests.
         seed: The same seed gives the same plan.
 
     Raises:
@@ -123,7 +123,7 @@ def plan_sessions(
 
 
 def study_rows(sessions: Sequence[Session]) -> dict[str, list[str] | list[int]]:
-    """Return columns with a row per planned episode: participant, condition, scene, episode, block and trial (both from 1)."""
+    """Return columns with one row per planned episode: participant, condition, scene, episode, block and trial."""
     rows = [
         (s.participant, b.condition, b.scene, e, k + 1, sum(len(x.episodes) for x in s.blocks[:k]) + j + 1)
         for s in sessions
@@ -135,7 +135,7 @@ def study_rows(sessions: Sequence[Session]) -> dict[str, list[str] | list[int]]:
 
 
 def write_sessions(sessions: Sequence[Session], folder: str | os.PathLike[str]) -> list[Path]:
-    """Write a manifest ``<participant>.json`` per session, in a folder that is created, and return the paths."""
+    """Write a manifest ``<participant>.json`` per session to a folder, which is created, and return the paths."""
     import msgspec
 
     paths = [Path(folder) / f"{s.participant}.json" for s in sessions]

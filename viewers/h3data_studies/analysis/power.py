@@ -1,4 +1,4 @@
-"""Power of a planned study: simulate it, fit it, count how often the expected differences are found."""
+"""Statistical power of a planned study, from simulated studies in which the expected differences are tested."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _GROUPS = ("participant", "scene", "observation")
 
 @dataclass(frozen=True, kw_only=True)
 class Power:
-    """Share of simulated studies that find a difference between two conditions."""
+    """Statistical power for one pair of conditions: the share of simulated studies that find their difference."""
 
     first: str
     second: str
@@ -43,7 +43,7 @@ def simulate_study(
     """Return the columns of `study_rows` and a ``response`` sampled from the mixed model.
 
     Args:
-        sessions: From `plan_sessions`.
+        sessions: Sessions of the study, from `plan_sessions`.
         means: Expected steps or rate of a typical participant in a typical scene, by condition.
         family: ``poisson`` (log link) or ``binomial`` (logit link, one trial per row).
         deviations: Standard deviations on the link scale of participants, scenes and single episodes (in addition to
@@ -93,9 +93,10 @@ def simulate_power(
     adjust: Adjustment = "tukey",
     seed: int = 0,
 ) -> tuple[Power, ...]:
-    """Return the power for each pair of conditions: `simulate_study`, `fit_glmm`, `contrasts` with p < ``alpha``.
+    """Return the power for each pair of conditions by simulating, fitting and testing many studies.
 
-    Poisson models get the observation-level effect if the simulation has one. Takes 0.1 to 0.3 s per run.
+    Each run calls `simulate_study`, `fit_glmm` and `contrasts`, and counts p < ``alpha``. Poisson models get the
+    observation-level effect if the simulation has one. A run takes 0.1 to 0.3 s.
     """
     if runs < 1 or not 0 < alpha < 1:
         raise InputError(

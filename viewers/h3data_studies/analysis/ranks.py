@@ -1,4 +1,4 @@
-"""Comparison of automatic evaluation with a study with people, by the ranking of the robots' policies."""
+"""Comparison of automatic evaluation with a study with people, by their rankings of the robots' policies."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from h3data_viewers.html_report.tables import NAN, Cell, Column, Row, Section, T
 
 
 def rank_table(runs: Sequence[Run]) -> Table | None:
-    """Rank correlations over the policies that are also conditions of the study; None with fewer than two of them.
+    """Return rank correlations over the policies that are also conditions of the study; None for fewer than two.
 
-    Names agree but for case and punctuation: ``plan_pop_3`` and ``Plan-Pop3``.
+    Names are compared without case and punctuation: ``plan_pop_3`` equals ``Plan-Pop3``.
     """
     human: dict[str, list[ReportEpisode]] = {}
     automatic: dict[str, list[ReportEpisode]] = {}

@@ -1,4 +1,4 @@
-"""Tables of a study with people: estimated means of a mixed model and their pairwise contrasts, beside the paper's."""
+"""Tables of a study with people: estimated means of a mixed model and their pairwise contrasts, next to the paper's."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def study_tables(
     """Return tables of estimated means, of pairwise contrasts and of ranks, with charts of the means.
 
     Args:
-        runs: Runs of one task; those without participants are compared with the others by their ranks alone.
+        runs: Runs of one task. Runs without participants are compared with the others only by their ranks.
         steps: Model of the steps, as in `StudyModel`.
-        failed: Episodes without success, as in `StudyModel`.
+        failed: Treatment of episodes without success, as in `StudyModel`.
     """
     studied = [run for run in runs if any(e.studied for e in run.episodes)]
     task, profile = studied[0].task, studied[0].profile

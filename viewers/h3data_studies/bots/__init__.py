@@ -1,1 +1,1 @@
-"""Scripted players, which need no simulator."""
+"""Scripted players for tests and benchmarks, which need no simulator."""

@@ -1,6 +1,6 @@
 """Scripted browser that speaks the protocol of `h3data docs play` over HTTP and a socket.
 
-It stores what the server says, and needs no simulator. Tests, benchmarks and scripted participants of studies use it.
+It stores the server's messages, and needs no simulator. Tests, benchmarks and scripted participants of studies use it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import aiohttp
 
 STATE = 1
 TOUCH, WALL, ENDED, BUSY = 1, 2, 4, 8
-"""Flags of states, as in `h3data_play.wire`, which needs NumPy."""
+"""Flags of state messages, repeated from `h3data_play.wire`, which imports NumPy."""
 HEAD = struct.Struct("<BBBBIif")
 _ROBOT, _OBJECT, _JOINT = struct.Struct("<3f"), struct.Struct("<Hh7f"), struct.Struct("<Hf")
 _PERSON_BYTES = 12 + 28 + 21 * 4
@@ -28,7 +28,7 @@ class Thing:
     """Object in a state message."""
 
     held: int = -1
-    """Agent that holds the thing; -1: none."""
+    """Number of the agent that holds the object; -1 if none does."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -41,33 +41,33 @@ class Client:
     http: aiohttp.ClientSession = field(init=False)
     socket: aiohttp.ClientWebSocketResponse = field(init=False)
     address: str = ""
-    """Address of the socket, once there is a seat."""
+    """Address of the WebSocket; empty before the client has a seat."""
     glb: str = ""
     manifest: dict[str, Any] = field(default_factory=dict)
     head: tuple[Any, ...] = (STATE, 0, 0, 0, 0, -1, 0.0)
-    """Head of the last state: kind, flags, agents, objects in it, step, ack, clock [ms]."""
+    """Head of the last state: kind, flags, agents, objects in it, step, acknowledged message, clock [ms]."""
     bases: list[tuple[float, float, float]] = field(default_factory=list)
-    """Bases of the agents in the last state: x, z, heading."""
+    """Poses of the agents in the last state: x [m], z [m], heading [rad]."""
     things: list[Thing] = field(default_factory=list)
     joints: list[float] = field(default_factory=list)
     """Positions of doors and drawers [rad or m]."""
     states: int = 0
     bytes: int = 0
-    """Number of bytes of all states."""
+    """Number of bytes of all received states."""
     told: list[dict[str, Any]] = field(default_factory=list)
     """Text frames that the client received."""
     delays: list[float] = field(default_factory=list)
     """Delay from each message to the state that reflects it [s]."""
     times: list[float] = field(default_factory=list)
-    """Times at which states came, by `time.monotonic`."""
+    """Times at which states arrived, by `time.monotonic` [s]."""
     played_s: float = 0.0
-    """Time between states of the same connection: without waiting for seats and next episodes."""
+    """Time between states of the same connection [s], without waiting for seats and next episodes."""
     waited_s: list[float] = field(default_factory=list)
     """Time from the end of each episode to the first state of the next [s]."""
     close_code: int | None = None
     seq: int = 0
     news: asyncio.Event = field(default_factory=asyncio.Event)
-    """Event that is set by any message."""
+    """Event that is set by every message from the server."""
     _latest: float = 0.0
     _sent: dict[int, float] = field(default_factory=dict)
     _hearing: asyncio.Task[None] | None = None
@@ -82,7 +82,7 @@ class Client:
         await self.http.close()
 
     async def sit(self) -> int:
-        """Take the seat and return the HTTP status. The text of a refusal is stored in ``told`` as ``refused``."""
+        """Take the seat and return the HTTP status; the text of a refusal is stored in ``told`` as ``refused``."""
         async with self.http.post(self.link + "api/session", json={}) as answer:
             if answer.status != 200:
                 self.told.append({"refused": await answer.text()})
@@ -92,7 +92,7 @@ class Client:
         return 200
 
     async def connect(self) -> None:
-        """Open the socket of a seat, for a new episode or once more; close the one before."""
+        """Open the WebSocket of a seat, for a new episode or again, after closing the previous one."""
         await self.close()
         self.head, self.told, self.close_code = (STATE, 0, 0, 0, 0, -1, 0.0), [], None
         self.things, self._latest = [Thing() for _ in self.manifest["objects"]], 0.0
@@ -101,7 +101,7 @@ class Client:
         self._hearing = asyncio.create_task(self._hear())
 
     async def close(self) -> None:
-        """Close the socket, if there is one; the seat remains."""
+        """Close the WebSocket, if there is one; the seat remains."""
         if self._hearing is not None:
             await self.socket.close()
             await asyncio.gather(self._hearing, return_exceptions=True)
@@ -140,7 +140,7 @@ class Client:
                 self.delays.append(now - self._sent.pop(seq))
 
     async def send(self, **message: Any) -> int:
-        """Send a message; return its number."""
+        """Send a message to the server and return its number."""
         seq, self.seq = self.seq, self.seq + 1
         now = time.monotonic()
         self._sent[seq] = now
@@ -149,11 +149,11 @@ class Client:
         return seq
 
     async def until(self, what: Any, seconds: float = 20.0) -> Any:
-        """Wait until ``what()`` is true, and return it.
+        """Wait until ``what()`` is true, and return its value.
 
         Raises:
-            TimeoutError: it was not.
-            ConnectionError: the socket has closed meanwhile.
+            TimeoutError: it is still false after ``seconds`` [s].
+            ConnectionError: the connection was closed while waiting.
         """
         end = time.monotonic() + seconds
         while not (found := what()):
@@ -170,7 +170,7 @@ class Client:
         return found
 
     def heard(self, name: str) -> list[Any]:
-        """Return the contents of the text frames that have a name."""
+        """Return the contents of the received text frames with a name."""
         return [message[name] for message in self.told if name in message]
 
     @property
@@ -190,5 +190,5 @@ class Client:
 
     @property
     def rtt_ms(self) -> float:
-        """Time from the last acknowledged message to the state that reflects it [ms]; 0: none yet."""
+        """Time from the last acknowledged message to the state that reflects it [ms]; 0 if there was none."""
         return 1e3 * self.delays[-1] if self.delays else 0.0

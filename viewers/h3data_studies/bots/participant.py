@@ -1,7 +1,7 @@
 """Scripted participants of a study.
 
-As a page would, they read the consent, pass the checks and the tutorial, play all episodes and fill in the forms. They
-are marked as bots (``client.browser`` is ``bot``).
+Like a page, they read the consent, pass the checks and the tutorial, play all episodes and fill in the forms. They are
+marked as bots (``client.browser`` is ``bot``).
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ DEVICE = {
 }
 SAID = "Filled in by a script."
 DONE_M = 0.15
-"""Distance from its goal within which a thing counts as placed, as for the page [m]."""
+"""Distance from its goal within which an object counts as placed, the same as on the page [m]."""
 REACTION_STEPS = (8, 20)
-"""Time between an observation of a bot and its action, 0.25 to 0.7 s [steps], so that it does not depend on the speed
-of the clock."""
+"""Least and greatest reaction time of a bot [steps], 0.25 to 0.7 s; in steps it does not depend on the speed of the
+clock."""
 HESITATES = 0.3
 """Share of decisions before which a bot briefly steers by keys."""
 FACES_RAD = 0.1
 TRIES = 4
-"""Number of places that are tried for a thing."""
+"""Number of places that are tried for an object."""
 LATE_S, RETRY_S = 600.0, 1.0
-"""Time without a message after which the participant gives up, and time after which a refused request is repeated [s]."""
+"""Time without a message after which the participant gives up, and time before a refused request is repeated [s]."""
 
 
 class ScriptedParticipant(Client):
-    """Scripted participant, from consent to completion code. Its random choices follow from its name alone."""
+    """Scripted participant, from consent to completion code, whose random choices follow from its name alone."""
 
     view: dict[str, Any]
 
@@ -57,13 +57,13 @@ class ScriptedParticipant(Client):
         rejoin: str = "",
         right: Mapping[tuple[str, str], float] | None = None,
     ) -> None:
-        """Connects a participant to a study.
+        """Connect a participant to a study.
 
         Args:
             link: link of the study.
-            name: name from which all random numbers follow.
+            name: name that seeds all random choices.
             report: called with the reason why an episode ended.
-            pid: its PROLIFIC_PID (default: 24 hexadecimal digits that follow from the name).
+            pid: PROLIFIC_PID of the participant (default: 24 hexadecimal digits that follow from the name).
             right: correct answers to checks, by form and item, which pages do not know.
             rejoin: code by which it continues an earlier participation (`h3data_studies.pseudonyms.rejoin_code`).
         """
@@ -75,7 +75,7 @@ class ScriptedParticipant(Client):
 
     # --- the study ----------------------------------------------------------------------------------------------------
     async def take_part(self) -> str:
-        """Take part to the end, and return the final status (``complete``, ``screened_out``, ...)."""
+        """Take part in the study to the end, and return the final status (``complete``, ``screened_out``, ...)."""
         ids = {"PROLIFIC_PID": self.pid, "STUDY_ID": "bots", "SESSION_ID": self.name}
         await self._ask("api/study", {"ids": ids, "rejoin": self.rejoin})
         while (kind := self.stage["kind"]) != "end":
@@ -100,11 +100,11 @@ class ScriptedParticipant(Client):
 
     @property
     def stage(self) -> dict[str, Any]:
-        """Return the next stage."""
+        """Return the description of the participant's next stage."""
         return self.view["stage"]
 
     def answers(self) -> dict[str, Any]:
-        """Return answers to the items of the next form, at random where there is no right one."""
+        """Return answers to the items of the next form, at random if an item has no right answer."""
         chance = random.Random(f"{self.name}/{self.stage['form']}/{self.view['progress']['done']}")
         answers: dict[str, Any] = {}
         for item in self.stage["items"]:
@@ -302,7 +302,7 @@ class ScriptedParticipant(Client):
 
     @property
     def mine(self) -> int:
-        """Index of the thing that the bot holds; -1: none."""
+        """Index of the object that the bot holds; -1 if none."""
         return next((k for k, thing in enumerate(self.things) if thing.held == self.me), -1)
 
     def _barrier(self, k: int) -> int:

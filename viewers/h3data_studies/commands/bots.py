@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from h3data_studies.design import Design
 
 AT_ONCE_EACH = 5
-"""Number of simultaneous participants for each process that simulates; more would only wait for each other."""
+"""Number of simultaneous participants per simulating process; more would only wait for each other."""
 
 
 @dataclass(frozen=True)
 class StudyBots:
     """Let scripted participants play a whole study, through the same server and pages as people.
 
-    They consent, pass checks and tutorial, play every episode and fill in the forms, at random. What they leave is marked as
-    made by bots (client.browser is bot) in recordings, status and report. It goes into a folder of its own, NAME-VERSION-bots,
-    so that no place of the study is taken. The clock runs as fast as the machine can, which recordings say; stopped or
-    killed, the same command goes on.
+    They consent, pass checks and tutorial, play every episode and fill in the forms, at random. Their data are marked
+    as made by bots (client.browser is bot) in recordings, status and report. The data go into a separate folder,
+    NAME-VERSION-bots, so that no place of the study is taken. The clock runs as fast as possible, which recordings
+    state. If the command is stopped or killed, the same command continues.
 
     Examples:
         h3data study bots study.toml --participants 3
@@ -48,17 +48,17 @@ class StudyBots:
     participants: int | None = None
     """Number of participants (default: the number of places of the study)."""
     workers: int = 1
-    """Processes that simulate."""
+    """Number of simulating processes."""
     at_once: int | None = None
-    """Participants at the same time (default: 5 for each process)."""
+    """Number of participants at the same time (default: 5 for each process)."""
     speed: float = 0.0
-    """Speed of the clock relative to real time; 0: as fast as the machine can."""
+    """Speed of the clock relative to real time; 0 means as fast as possible."""
     link: Annotated[str | None, tyro.conf.arg(metavar="URL")] = None
-    """A study that is being served already, with its own clock; nothing is started."""
+    """Link of a study that is already being served, with its own clock; no server is started then."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Play the study and return how it went, with the size of the recordings."""
+        """Play the study and return the results of the bots, with the size of the recordings."""
         from h3data_studies.files import bots_folder, make_plan, read_design, study_folder, with_id_pattern
         from h3data_studies.forms import right_answers
         from h3data_studies.pseudonyms import ANY
@@ -127,7 +127,7 @@ def bot_name(k: int) -> str:
 
 
 def known_bots(folder: Path, design: Design, count: int) -> dict[str, tuple[str, str]]:
-    """Return the status of each bot that has begun before, and the code by which it continues without its cookie."""
+    """Return the status of each bot that has started before, and the code by which it continues without its cookie."""
     from h3data_studies.files import key_file, open_store
     from h3data_studies.pseudonyms import read_key, recruit_ids, rejoin_code
     from h3data_studies.store import DATABASE
@@ -146,7 +146,7 @@ def known_bots(folder: Path, design: Design, count: int) -> dict[str, tuple[str,
 
 @dataclass
 class Crowd:
-    """Scripted participants, several at a time."""
+    """Group of scripted participants, several of whom take part at a time."""
 
     count: int
     at_once: int
@@ -157,14 +157,14 @@ class Crowd:
     right: dict[tuple[str, str], float] = field(default_factory=dict)
     """Right answers to checks, by form and item."""
     known: dict[str, tuple[str, str]] | None = None
-    """Participants who began before, by name: their status, and the code by which they continue. None: a served study,
-    which asks for ids of its own form."""
+    """Status and rejoin code of participants who started before, by name. None for a served study, which asks for ids
+    of its own format."""
 
     async def take_part(self, link: str, episodes: int) -> None:
         """Let all scripted participants take part.
 
         Raises:
-            H3DataError: nobody could.
+            H3DataError: no participant could take part.
         """
         places = asyncio.Semaphore(self.at_once)
         with progress(desc="Bots", unit="episode", total=episodes) as bar:
@@ -200,7 +200,7 @@ class Crowd:
 
 
 class Late:
-    """Listener to the server's reports while the bots play: late steps, lost workers."""
+    """Listener to the server's reports of late steps and lost workers while the bots play."""
 
     def __init__(self, reports: Any) -> None:
         self.slipped = 0

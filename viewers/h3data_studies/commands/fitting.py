@@ -1,4 +1,4 @@
-"""Command ``h3data study fit``: the analysis of studies with people."""
+"""Command ``h3data study fit``: the statistical analysis of studies with people."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from h3data.errors import InputError
 class StudyFit:
     """Estimate the means of a study's conditions with mixed models, and their pairwise differences.
 
-    Recordings say who took part under which condition (h3data import --manifest). Steps to success get a Poisson model with
-    random intercepts of participants and scenes, as in Habitat 3.0, 0/1 metrics a binomial one; RE is the ratio of the means.
+    Recordings state their participant and condition (h3data import --manifest). As in Habitat 3.0, steps to success get
+    a Poisson model with random intercepts of participants and scenes, and 0/1 metrics get a binomial model. RE is the
+    ratio of the means.
 
     Examples:
         h3data study fit rec/
@@ -25,7 +26,7 @@ class StudyFit:
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files, datasets, and folders of these, which are walked."""
+    """.mcap files, datasets, and folders that contain these."""
     profile: str | None = None
     """Metrics profile (default: that of the recordings' task)."""
     model: StepsModelOption = "auto"

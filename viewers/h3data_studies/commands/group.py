@@ -1,4 +1,4 @@
-"""Commands ``h3data study``: studies with people, from the file to the report."""
+"""Commands ``h3data study``: studies with people, from the study file to the report."""
 
 from __future__ import annotations
 

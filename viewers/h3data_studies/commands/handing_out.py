@@ -1,4 +1,4 @@
-"""Commands ``h3data study data`` and ``h3data study pay``: participants' data, completion codes, bonuses."""
+"""Commands ``h3data study data`` and ``h3data study pay``: participants' data, completion codes and bonuses."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ Questions: {contact}
 
 @dataclass(frozen=True)
 class StudyData:
-    """Write everything that a study has stored about a participant to one file, for the participant (GDPR, articles 15 and 20).
+    """Write all stored data of a participant to one file, for the participant (GDPR, articles 15 and 20).
 
-    The ZIP file has their answers, the log of what they did and when, the consent, and the recordings of their episodes. It is
-    also a copy of what h3data study forget would delete. The study may be running.
+    The ZIP file has the participant's answers, the log of their actions, their consent, and the recordings of their
+    episodes. These are the data that h3data study forget would delete. The study may be running.
 
     Examples:
         h3data study data study.toml P-ZBI5ZED7QR
@@ -51,11 +51,11 @@ class StudyData:
     """
 
     study: tyro.conf.Positional[Path]
-    """The study file, or the study's folder."""
+    """Study file, or the study's folder."""
     participant: tyro.conf.Positional[str]
     """Participant number (P-...), or the id at the recruiting platform (PROLIFIC_PID)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """The .zip file (default: the participant's number, in this folder)."""
+    """ZIP file to write (default: the participant's number, in the current folder)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -85,7 +85,7 @@ class StudyData:
 
 
 def own_data(design: Design, person: Participant) -> dict[str, Any]:
-    """Return everything that the database has of a participant, as JSON types; times are in UTC."""
+    """Return all data of a participant in the database as JSON types; times are in UTC."""
     from h3data_studies.pseudonyms import IDS
 
     progress = person.progress
@@ -113,10 +113,10 @@ def own_data(design: Design, person: Participant) -> dict[str, Any]:
 class StudyPay:
     """Write completion codes and bonuses of the participants who have finished.
 
-    codes.csv has a row for each participant. With --ids, the recruiting platform's own list of participants, bonus.csv has a
-    line ID,AMOUNT for each who has finished, as Prolific's bulk bonus payments take it; the study itself stores no ids, so that
-    it cannot know them without this list. Ids that did not finish here, and codes that are not theirs, are named. What the
-    bonus is, the study file says ([bonus]). The folder is to be deleted when everybody has been paid.
+    codes.csv has a row for each participant. With --ids, the recruiting platform's own list of participants, bonus.csv
+    has a line ID,AMOUNT for each who has finished, in the format of Prolific's bulk bonus payments. The list is
+    necessary because the study itself stores no ids. Ids that did not finish here, and codes of other participants, are
+    reported. The study file sets the bonus ([bonus]). Delete the folder when all participants have been paid.
 
     Examples:
         h3data study pay study.toml
@@ -124,11 +124,12 @@ class StudyPay:
     """
 
     study: tyro.conf.Positional[Path]
-    """The study file, or the study's folder."""
+    """Study file, or the study's folder."""
     ids: Path | None = None
-    """CSV file with a column "Participant id" or PROLIFIC_PID, and perhaps a "Completion code"; or an id in each line."""
+    """CSV file with a column "Participant id" or PROLIFIC_PID, and optionally "Completion code"; or a text file with
+    one id per line."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder to write to (default: NAME-VERSION-payments beside the study's folder)."""
+    """Folder to write to (default: NAME-VERSION-payments next to the study's folder)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -185,7 +186,7 @@ class StudyPay:
 
 
 def bonus_of(bonus: Bonus | None, successes: int) -> float:
-    """Return the payment beyond the reward of a participant who has finished, to the hundredth."""
+    """Return the payment in addition to the fixed reward of a participant who has finished, rounded to two decimals."""
     if bonus is None:
         return 0.0
     amount = bonus.base + bonus.per_success * successes

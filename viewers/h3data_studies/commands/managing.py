@@ -1,4 +1,4 @@
-"""Commands ``h3data study status`` and ``h3data study forget``: the state of a study, and deletion of a participant's data."""
+"""Commands ``h3data study status`` and ``h3data study forget``: the state of a study, and deletion of data."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from h3data_studies.store import Participant, StudyStore
 
 REPORT = "report"
-"""Folder below that of a study with the results of ``study report``."""
+"""Name of the folder in a study's folder with the results of ``study report``."""
 
 
 @dataclass(frozen=True)
 class StudyStatus:
-    """Show how far a study's participants are, condition by condition; also while it is running.
+    """Show the progress of a study's participants by condition, also while the study is running.
 
-    For everybody who is under way there is a link that lets them go on in another browser, once. Send it only to the person
-    themselves: whoever opens it has their place.
+    For every active participant there is a link with which they can continue once in another browser. Send it only to
+    this person, because it gives access to their place.
 
     Examples:
         h3data study status study.toml
@@ -35,7 +35,7 @@ class StudyStatus:
     """
 
     study: tyro.conf.Positional[Path]
-    """The study file, or the study's folder."""
+    """Study file, or the study's folder."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -103,9 +103,9 @@ def _status_text(data: dict[str, Any]) -> str:
 class StudyForget:
     """Delete all data of a participant (recordings, answers, seat) and list what was deleted.
 
-    What h3data study report and h3data study pay have made is deleted as well, because it is made of everybody's data: make it
-    again. Copies
-    elsewhere are yours to delete. The study must not be running; participants go on when it is started again.
+    The results of h3data study report and h3data study pay are deleted as well, because they contain data of all
+    participants; run these commands again. Copies elsewhere are not deleted. The study must not be running;
+    participants can continue when it is started again.
 
     Examples:
         h3data study forget study.toml P-ZBI5ZED7QR
@@ -113,7 +113,7 @@ class StudyForget:
     """
 
     study: tyro.conf.Positional[Path]
-    """The study file, or the study's folder."""
+    """Study file, or the study's folder."""
     participant: tyro.conf.Positional[str]
     """Participant number (P-...), or the id at the recruiting platform (PROLIFIC_PID)."""
     dry_run: DryRunFlag = False
@@ -193,6 +193,6 @@ def _files(folder: Path, pseudonym: str) -> Iterator[Path]:
 
 
 def payments_folder(folder: Path) -> Path:
-    """Return the folder of ``study pay``: beside the study's folder, because it has ids of the recruiting platform."""
+    """Return the folder of ``study pay``, outside the study's folder because it has ids of the recruiting platform."""
     folder = folder.resolve()
     return folder.with_name(folder.name + "-payments")

@@ -1,4 +1,4 @@
-"""Commands ``h3data study report`` and ``h3data study compare``: results of a study."""
+"""Commands ``h3data study report`` and ``h3data study compare``: the results of a study."""
 
 from __future__ import annotations
 
@@ -43,12 +43,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StudyReport:
-    """Write the report of a study: the paper's table, its contrasts, questionnaires.
+    """Write the report of a study: the paper's table, its contrasts, and questionnaires.
 
-    CR, TS, RC and RE with mixed models and post-hoc comparisons, as in Habitat 3.0; episodes during which the machine was too
-    slow are left out, and counted, as is whatever the study file's rules ([[exclude]]) leave out. Writes report.html,
-    study.json and, of everybody, whether used or not: participants.csv, answers.csv, checks.csv, focus.csv and trials.csv with
-    a row for each episode; all but report.html also where no episode can be used.
+    CR, TS, RC and RE are analysed with mixed models and post-hoc comparisons, as in Habitat 3.0. Episodes during which
+    the machine was too slow are excluded and counted, and so are participants and episodes that the study file's rules
+    ([[exclude]]) exclude. The command writes report.html and study.json. It also writes participants.csv, answers.csv,
+    checks.csv, focus.csv and trials.csv (a row for each episode), with the data of all participants. Without usable
+    episodes, only report.html is missing.
 
     Examples:
         h3data study report study.toml
@@ -56,14 +57,14 @@ class StudyReport:
     """
 
     study: tyro.conf.Positional[Path]
-    """The study file, or the study's folder."""
+    """Study file, or the study's folder."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder to write to (default: report in the study's folder, from which h3data study forget also deletes
+    """Folder to write to (default: the folder report in the study's folder, from which h3data study forget also deletes
     participants)."""
     everybody: bool = False
     """Include participants who have not finished."""
     free_text: bool = False
-    """Include what participants wrote themselves, which may identify them."""
+    """Include free text of participants, which may identify them."""
     model: StepsModelOption = "auto"
     failed: FailedOption = "leave-out"
     pictures: int = 6
@@ -151,8 +152,8 @@ class StudyReport:
 class StudyCompare:
     """Compare the ranking of partners by people with that by automatic evaluation.
 
-    For the claim that ends the paper: do both put the robots in the same order? Conditions are matched with the robots of
-    h3data evaluate by the name of their policy; files of weights by their digest, whatever they are called.
+    This tests the final claim of the paper, that both put the robots in the same order. Conditions are matched with the
+    robots of h3data evaluate by the name of their policy, and weights files by their digest.
 
     Examples:
         h3data evaluate rearrange --policies complement,same_object --save-recordings -o out/zsc
@@ -160,7 +161,7 @@ class StudyCompare:
     """
 
     study: tyro.conf.Positional[Path]
-    """The study file, or the study's folder."""
+    """Study file, or the study's folder."""
     automatic: tyro.conf.Positional[Path]
     """Folder of h3data evaluate, or recordings of the same policies with other partners."""
     everybody: bool = False
@@ -203,7 +204,7 @@ class StudyCompare:
 
 
 def finished(people: Sequence[Participant], *, everybody: bool) -> list[Participant]:
-    """Return participants whose data count.
+    """Return the participants whose data count: all with ``everybody``, else those who have finished.
 
     Raises:
         InputError: no participant has finished.
@@ -223,7 +224,7 @@ def finished(people: Sequence[Participant], *, everybody: bool) -> list[Particip
 def usable_recordings(
     folder: Path, design: Design, people: Sequence[Participant], rules: Exclusions
 ) -> tuple[list[Path], Counter[str]]:
-    """Return recordings of participants whose episodes can be used, and the number of others by reason."""
+    """Return the recordings of usable episodes of participants, and the number of unusable ones by reason."""
     from h3data_studies.overview import played
 
     reasons: dict[
@@ -249,7 +250,7 @@ def _recorded(folder: Path, design: Design, episode: PlayedEpisode, rules: Exclu
 
 
 def participant_rows(design: Design, people: Sequence[Participant]) -> list[list[str | float]]:
-    """Return a row for each participant, whatever became of them, with all facts that rules can use, and a header."""
+    """Return a header and a row for each participant of any status, with all facts that exclusion rules can use."""
     from h3data_studies.exclusions import PARTICIPANT_MEASURES, exclusions, participant_measures
     from h3data_studies.overview import is_bot, played
 
@@ -291,12 +292,13 @@ def _rule_notes(design: Design, rules: Exclusions, people: Sequence[Participant]
 def trial_rows(
     folder: Path, design: Design, people: Sequence[Participant], measured: Sequence[EpisodeMetrics], rules: Exclusions
 ) -> list[list[str | float]]:
-    """Return a row for each episode that was played, used or not, with a header.
+    """Return a header and a row for each episode that was played, whether the report uses it or not.
 
-    ``order`` counts a participant's episodes, ``block`` their conditions and ``trial`` the episodes of a block, all from 1;
-    ``ended_at`` is in UTC, ``late_steps`` were due before the machine could play them. ``completed`` is the answer to the
-    question at the end of an episode, ``problems`` the number of reported ones. The metrics of ``measured``, empty
-    where they are undefined, and the answers to questions after each episode (``form.item``, no free text) come last.
+    ``order`` counts a participant's episodes, ``block`` their conditions and ``trial`` the episodes of a block, all
+    from 1; ``ended_at`` is in UTC, and ``late_steps`` is the number of steps that the machine could not play in time.
+    ``completed`` is the answer to the question at the end of an episode, ``problems`` the number of reported problems.
+    The metrics of ``measured``, empty where they are undefined, and the answers to questions after each episode
+    (``form.item``, no free text) come last.
     """
     from h3data_studies.answers import filled_stages
     from h3data_studies.exclusions import trial_measures
@@ -366,7 +368,7 @@ def trial_rows(
 
 
 def write_rows(path: Path, rows: Sequence[Sequence[str | float]]) -> None:
-    """Write a CSV file of rows, of which no spreadsheet runs a cell."""
+    """Write rows to a CSV file, with cells escaped so that spreadsheets do not run them as formulas."""
     with part_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([spreadsheet_cell(cell) for cell in row] for row in rows)
 

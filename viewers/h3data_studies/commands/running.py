@@ -1,4 +1,4 @@
-"""Commands ``h3data study new`` and ``h3data study run``: a study file, and its server."""
+"""Commands ``h3data study new`` and ``h3data study run``: an example study file, and the server of a study."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ LOCK = ".running"
 
 @dataclass(frozen=True)
 class StudyNew:
-    """Write an example of a study file, with comments, to begin from.
+    """Write an example study file with comments, as a starting point.
 
     Examples:
         h3data study new study.toml
     """
 
     file: tyro.conf.Positional[Path]
-    """The .toml file to write."""
+    """Study file to write (.toml)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -66,8 +66,9 @@ class StudyNew:
 class StudyRun:
     """Serve a study to its participants until Ctrl-C; run the same command again to continue.
 
-    Everything is kept in the folder NAME-VERSION beside the study file: recordings, answers, how far everybody is. The secret
-    that makes pseudonyms of participants lies beside that folder (NAME-VERSION.key). Needs the extra hitl.
+    All data are stored in the folder NAME-VERSION next to the study file: recordings, answers, and the progress of
+    participants. The secret for the pseudonyms of participants is next to that folder (NAME-VERSION.key). Needs the
+    extra hitl.
 
     Examples:
         h3data study run study.toml
@@ -76,9 +77,9 @@ class StudyRun:
     """
 
     study: tyro.conf.Positional[Path]
-    """The study file (.toml)."""
+    """Study file (.toml)."""
     workers: int = 1
-    """Number of processes that simulate; each serves about 12 people at once."""
+    """Number of simulating processes; each serves about 12 people at once."""
     seats_per_address: int = 12
     """Largest number of simultaneous participants from one network address."""
     port: PortOption = 0
@@ -150,15 +151,15 @@ class StudyRun:
 
 
 def keep_design(folder: Path, design: Design) -> Design:
-    """Store the study file's content next to what is recorded under it.
+    """Store a copy of the study file in the folder of its recordings.
 
-    The formats of ids may change at any time; a study that began without them continues without.
+    The formats of ids may change at any time; a study that started without them continues without them.
 
     Returns:
         The design to serve.
 
     Raises:
-        InputError: the folder holds recordings under another content.
+        InputError: the folder has recordings of a study file with another content.
     """
     from h3data_studies.files import DESIGN_FILE, open_store, open_study, with_id_pattern
     from h3data_studies.pseudonyms import ANY
@@ -184,7 +185,7 @@ def keep_design(folder: Path, design: Design) -> Design:
 
 @contextmanager
 def running(folder: Path) -> Iterator[None]:
-    """Lock the folder of a study in a block, so that only one process changes it.
+    """Lock the folder of a study for a ``with`` block, so that only one process changes it.
 
     Raises:
         InputError: another process has locked the folder.

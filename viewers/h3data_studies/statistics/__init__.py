@@ -1,12 +1,13 @@
-"""Statistics of studies with people: arrays in, numbers out.
+"""Statistics of studies with people, which map arrays to numbers.
 
-Knows neither recordings nor metrics. Everything random is seeded, and NaN stands for an undefined value.
+The package does not depend on recordings or metrics. All random numbers are seeded, and NaN stands for an undefined
+value.
 
 ================= ======================================================================================================
-mixed models      `fit_glmm`: Poisson and binomial models with crossed random intercepts, as lme4's ``glmer``
-after the fit     `marginal_means`, `contrasts` (with `contrasts_text`), `relative_efficiency`, as R's emmeans
-ranks             `rank_agreement`: Kendall's tau and Spearman's rho of two evaluations of the same methods
-================= ======================================================================================================
+mixed models `fit_glmm`: Poisson and binomial models with crossed random intercepts, as lme4's ``glmer`` after the fit
+`marginal_means`, `contrasts` (with `contrasts_text`), `relative_efficiency`, as R's emmeans ranks `rank_agreement`:
+Kendall's tau and Spearman's rho of two evaluations of the same methods =================
+======================================================================================================
 """
 
 # Mixed models and marginal means are written out here because no maintained pure-Python package fits them by maximum

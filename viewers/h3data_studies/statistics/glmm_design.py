@@ -23,12 +23,12 @@ Family = Literal["poisson", "binomial"]
 
 
 class SeparationError(InputError):
-    """Error about a coefficient without a finite estimate: a level or a combination of levels determines the response."""
+    """Error about a coefficient without a finite estimate, because a combination of levels determines the response."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FixedDesign:
-    """Coding of the fixed effects: an intercept, factors in treatment coding, covariates."""
+    """Coding of the fixed effects of a model: an intercept, factors in treatment coding, and covariates."""
 
     terms: tuple[tuple[str, ...], ...]
     """Variables of each term: one for a main effect, several for an interaction."""
@@ -65,7 +65,8 @@ class FixedDesign:
     def marginal(self, factor: str) -> NDArray[np.float64]:
         """Return the rows [L, P] of the marginal means of ``factor``.
 
-        The levels of the other factors get equal weights, covariates are at their mean (emmeans' reference grid).
+        The levels of the other factors get equal weights, and covariates have their mean (the reference grid of
+        emmeans).
         """
         if factor not in self.levels:
             raise InputError(
@@ -87,9 +88,9 @@ class MixedDesign:
     formula: str
     """Model in lme4's notation."""
     response: NDArray[np.float64]
-    """Counts, or successes, shape [N]."""
+    """Response of each row, shape [N]: counts (Poisson) or numbers of successes (binomial)."""
     trials: NDArray[np.float64]
-    """Trials of each row, shape [N]; ones unless successes are counted out of several."""
+    """Number of trials of each row, shape [N]; ones unless the response counts successes out of several trials."""
     fixed: FixedDesign
     x: NDArray[np.float64]
     """Columns of the fixed effects, shape [N, P]."""
@@ -109,7 +110,10 @@ def mixed_design(
     levels: Mapping[str, Sequence[str]],
     observation_effect: bool,
 ) -> MixedDesign:
-    """Read and check the columns of a table; arguments and errors as for `fit_glmm`."""
+    """Return the design of a model from the columns of a table, after checking them.
+
+    The arguments and errors are those of `fit_glmm`.
+    """
     if family not in ("poisson", "binomial"):
         raise InputError(f"Expected the family 'poisson' or 'binomial', got {family!r}.", code="H3-STATS-003")
     if isinstance(fixed, str) or isinstance(random, str):

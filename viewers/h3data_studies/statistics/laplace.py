@@ -28,7 +28,7 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mode:
-    """Most likely random effects for given deviations (and coefficients), and their deviance."""
+    """Most likely random effects for given deviations (and optionally coefficients), with their deviance."""
 
     deviance: float
     """Deviance: -2 log-likelihood; infinite if the iteration failed."""
@@ -36,16 +36,16 @@ class Mode:
     """Spherical effects u of each factor, each of shape [levels]."""
     coefficients: Array
     fixed_factor: Array
-    """Lower Cholesky factor [P, P] of the coefficients' information; [0, 0] if the coefficients were held fixed."""
+    """Lower Cholesky factor [P, P] of the information matrix of the coefficients; [0, 0] if these were fixed."""
     eta: Array
     """Linear predictor, shape [N]."""
 
 
 class LaplaceModel:
-    """Laplace's approximation for one design. Each search starts from the previous mode.
+    """Laplace's approximation of the likelihood for one design; each search starts from the previous mode.
 
-    Nested factors are eliminated from the normal equations in closed form (`NestedElimination`); what remains is dense and
-    has the size of the crossed factors and the coefficients.
+    Nested factors are eliminated from the normal equations in closed form (`NestedElimination`). The remaining system
+    is dense and has the size of the crossed factors and the coefficients.
     """
 
     def __init__(self, design: MixedDesign) -> None:
@@ -70,9 +70,10 @@ class LaplaceModel:
         self._beta = np.linalg.lstsq(x, start, rcond=None)[0]
 
     def mode(self, theta: Array, coefficients: Array | None = None) -> Mode:
-        """Return the mode for deviations ``theta`` [K] and ``coefficients`` [P], or the most likely ones if None.
+        """Return the mode for deviations ``theta`` [K] and ``coefficients`` [P]; None: the most likely coefficients.
 
-        deviance = -2 log f(y | u, beta) + |u|² + log |I + Λ'Z'WZΛ|, Laplace's approximation of -2 log ∫ f(y | u) φ(u) du.
+        The deviance is -2 log f(y | u, beta) + |u|² + log |I + Λ'Z'WZΛ|, Laplace's approximation of -2 log ∫ f(y | u)
+        φ(u) du.
         """
         free = coefficients is None
         normal = self._free if free else self._bound
@@ -121,7 +122,7 @@ class LaplaceModel:
         return {name: theta[k] * mode.effects[k] for k, name in enumerate(self.names)}
 
     def pearson(self, mode: Mode) -> float:
-        """Return the sum of the squared Pearson residuals."""
+        """Return the sum of the squared Pearson residuals at a mode."""
         mean, weight = self._moments(mode.eta)
         return float(np.sum((self._y - mean) ** 2 / weight))
 

@@ -1,4 +1,4 @@
-"""Generalised linear mixed models with crossed random intercepts: maximum likelihood by Laplace's approximation."""
+"""Generalised linear mixed models with crossed random intercepts, fitted by maximum likelihood (Laplace)."""
 
 # Written out because no maintained pure-Python package fits these by maximum likelihood (see `__init__`). Checked
 # against lme4 1.1-31 on four simulated data sets (tests/data/glmm/make_reference.R): estimates, standard errors,
@@ -39,7 +39,10 @@ _PENALTY = 2.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GlmmFit:
-    """A fitted model. All estimates are on the link scale: natural logarithm for Poisson, log-odds for binomial."""
+    """Fitted generalised linear mixed model.
+
+    All estimates are on the link scale: natural logarithm for Poisson, log-odds for binomial.
+    """
 
     formula: str
     """Model in lme4's notation."""
@@ -47,26 +50,26 @@ class GlmmFit:
     rows: int
     fixed: FixedDesign
     coefficients: NDArray[np.float64]
-    """Coefficients of the fixed effects, shape [P], named by ``fixed.names``; treatment coding."""
+    """Coefficients of the fixed effects in treatment coding, shape [P], named by ``fixed.names``."""
     covariance: NDArray[np.float64]
     """Covariance of the coefficients, shape [P, P], from the observed information of coefficients and deviations."""
     deviations: Mapping[str, float]
-    """Standard deviation of each random intercept; 0 = singular."""
+    """Standard deviation of each random intercept on the link scale; 0 for a singular fit."""
     modes: Mapping[str, Mapping[str, float]]
     """Most likely intercept of each level, by random factor and level."""
     log_likelihood: float
-    """Log-likelihood by Laplace's approximation, constants included."""
+    """Log-likelihood by Laplace's approximation, including constants."""
     dispersion: float
     """Pearson's statistic over the residual degrees of freedom; far above 1, the standard errors are too small."""
     converged: bool
     notes: tuple[str, ...]
-    """Reservations about the estimates: singular, over-dispersed, always alike, not converged."""
+    """Warnings about the estimates: singular, over-dispersed, always alike, not converged."""
     overdispersed: bool = False
     """True if the response varies so much more than the family allows that standard errors and p values are too
     small."""
     penalised: bool = False
     """True if people (or other levels of a random intercept) always answer alike, so that their deviation has no finite
-    estimate; a penalty keeps it finite, and estimates depend on that penalty."""
+    estimate. A penalty then makes the estimates finite, and they depend on that penalty."""
 
     @property
     def sound(self) -> bool:
@@ -116,9 +119,10 @@ def fit_glmm(
 
     Args:
         table: One row per episode.
-        response: Counts (Poisson), 0/1 or successes out of ``trials`` (binomial).
+        response: Column of counts (Poisson), or of 0/1 or successes out of ``trials`` (binomial).
         family: ``poisson`` with the log link or ``binomial`` with the logit link.
-        fixed: Columns: text and booleans are factors, numbers covariates; ``"a:b"`` is an interaction of ``a`` and ``b``.
+        fixed: Columns of the fixed effects: text and booleans are factors, numbers covariates; ``"a:b"`` is an
+            interaction of ``a`` and ``b``.
         random: Columns that group the rows, each with a random intercept; crossed or nested, balanced or not.
         trials: Column of the numbers of trials.
         levels: Order of a factor's levels, the reference first (default: alphabetical). Turns numbers into a factor.

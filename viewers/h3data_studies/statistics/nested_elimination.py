@@ -1,8 +1,9 @@
-"""The normal equations of a mixed model's random effects and coefficients, with nested factors eliminated in closed form.
+"""Normal equations of a mixed model's random effects and coefficients, with nested factors eliminated in closed form.
 
-Block elimination of (I + Λ'Z'WZΛ, Λ'Z'WX; X'WZΛ, X'WX). The block of one factor is diagonal. It stays diagonal when the factor
-with the most levels is eliminated, as long as each level of that one lies in a single level of this one, and so on: rows within
-broods within locations. Factors that cross the eliminated ones stay, as a dense rest together with the coefficients.
+The method is block elimination of (I + Λ'Z'WZΛ, Λ'Z'WX; X'WZΛ, X'WX). The block of one factor is diagonal. It stays
+diagonal when the factor with the most levels is eliminated, if each of its levels lies within a single level of the
+first factor (rows within broods within locations). Factors that cross the eliminated ones remain in a dense system
+together with the coefficients.
 """
 
 # A general sparse Cholesky factor (CHOLMOD, as in lme4) is in no dependency of ours. A dense one of the same matrix takes 60
@@ -26,7 +27,7 @@ _SMALL = 1 << 20
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """Result of one step of the iteration."""
+    """Solution of the normal equations in one iteration."""
 
     effects: list[Array]
     """Change of the spherical effects of each factor."""
@@ -35,16 +36,16 @@ class Solution:
     log_determinant: float
     """Logarithm of the determinant, log |I + Λ'Z'WZΛ|."""
     fixed_factor: Array
-    """Lower Cholesky factor [P, P] of the coefficients' information."""
+    """Lower Cholesky factor [P, P] of the information matrix of the coefficients."""
 
 
 class NestedElimination:
-    """The normal equations of one design.
+    """Normal equations of one design, with its nested factors eliminated.
 
     Args:
         groups: Level number of each row for each factor, each of shape [N].
         counts: Number of levels of each factor.
-        x: Columns of the free coefficients, shape [N, P]; P = 0 if they are bound.
+        x: Columns of the free coefficients, shape [N, P]; P = 0 if they are fixed.
     """
 
     def __init__(self, groups: Sequence[NDArray[np.int64]], counts: Sequence[int], x: Array) -> None:
@@ -67,14 +68,14 @@ class NestedElimination:
         }
 
     def effect(self, theta: Array, effects: Sequence[Array]) -> Array:
-        """Return the part of the linear predictor [N] that spherical effects make with deviations ``theta`` [K]."""
+        """Return the contribution [N] of spherical effects to the linear predictor, with deviations ``theta`` [K]."""
         total = theta[0] * effects[0][self._groups[0]]
         for k in range(1, len(effects)):
             total = total + theta[k] * effects[k][self._groups[k]]
         return total
 
     def solve(self, theta: Array, weight: Array, residual: Array, effects: Sequence[Array]) -> Solution:
-        """Return the step that solves the equations for weights and residuals [N] at ``effects``.
+        """Return the solution of the normal equations for weights [N] and residuals [N] at ``effects``.
 
         Raises:
             LinAlgError: the matrix is not positive definite.

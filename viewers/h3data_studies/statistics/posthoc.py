@@ -27,7 +27,7 @@ Adjustment = Literal["tukey", "holm", "none"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MarginalMeans:
-    """Mean of each level of a factor for a typical participant in a typical scene (all random intercepts 0)."""
+    """Mean of each level of a factor for a typical participant in a typical scene (all random intercepts are 0)."""
 
     factor: str
     family: Family
@@ -55,7 +55,7 @@ class MarginalMeans:
         return self.means if self.family == "poisson" else self.means * (1 - self.means)
 
     def intervals(self, confidence: float = 0.95) -> NDArray[np.float64]:
-        """Return the ends of the intervals on the response scale, shape [L, 2]: normal on the link scale, transformed."""
+        """Return the ends of the intervals on the response scale, shape [L, 2]; they are symmetric on the link scale."""
         from scipy.special import expit, ndtri
 
         check_confidence(confidence)
@@ -80,20 +80,20 @@ class Contrast:
     second: str
     scale: Scale
     difference: float
-    """Difference of logarithms or log-odds (``link``), or of counts or rates (``response``)."""
+    """Difference of logarithms or log-odds (scale ``link``), or of counts or rates (scale ``response``)."""
     standard_error: float
     low: float
-    """Lower end of the interval, widened for the number of contrasts."""
+    """Lower end of the interval, which is adjusted for the number of contrasts."""
     high: float
-    """Upper end of the interval, widened for the number of contrasts."""
+    """Upper end of the interval, which is adjusted for the number of contrasts."""
     z: float
     p: float
-    """Two-sided p value, adjusted."""
+    """Two-sided p value, adjusted for the number of contrasts."""
     adjust: Adjustment
 
     @property
     def ratio(self) -> tuple[float, float, float]:
-        """Ratio exp(difference) with its interval: of the means (Poisson) or of the odds (binomial); ``link`` only."""
+        """Ratio exp(difference) of means (Poisson) or odds (binomial), with its interval; only on the ``link`` scale."""
         if self.scale != "link":
             raise InputError(
                 "A ratio needs contrasts on the link scale: contrasts(means, scale='link').", code="H3-STATS-036"
@@ -103,7 +103,7 @@ class Contrast:
 
 @dataclass(frozen=True, kw_only=True)
 class RelativeEfficiency:
-    """Steps without a robot over steps with it, in percent: above 100 the robot helps."""
+    """Relative efficiency: steps without a robot over steps with it, in percent; above 100 the robot helps."""
 
     level: str
     percent: float
@@ -112,7 +112,7 @@ class RelativeEfficiency:
 
 
 def marginal_means(fit: GlmmFit, factor: str) -> MarginalMeans:
-    """Return the marginal means of ``factor``: equal weights of the other factors' levels on the link scale."""
+    """Return the marginal means of ``factor``, with equal weights of the other factors' levels on the link scale."""
     rows = fit.fixed.marginal(factor)
     return MarginalMeans(
         factor=factor,
@@ -129,9 +129,11 @@ def contrasts(
     """Return the contrasts of all pairs of levels with z tests, as emmeans' ``pairs`` (``response``: after ``regrid``).
 
     Args:
-        means: From `marginal_means`.
-        scale: ``link`` tests ratios (the better normal approximation); ``response`` tests differences of counts or rates.
-        adjust: ``tukey``: studentised range of all levels; ``holm``: step-down on the p values, Bonferroni for intervals.
+        means: Marginal means from `marginal_means`.
+        scale: ``link`` tests ratios (the better normal approximation); ``response`` tests differences of counts or
+            rates.
+        adjust: ``tukey``: studentised range of all levels; ``holm``: step-down on the p values, Bonferroni for
+            intervals.
         confidence: Joint confidence of all intervals.
     """
     from scipy.special import ndtr, ndtri
@@ -178,11 +180,11 @@ def contrasts(
 def relative_efficiency(
     means: MarginalMeans, baseline: str, *, confidence: float = 0.95
 ) -> tuple[RelativeEfficiency, ...]:
-    """Return RE = 100 * mean steps of ``baseline`` / mean steps of each other level.
+    """Return the relative efficiency: 100 * mean steps of ``baseline`` / mean steps of each other level.
 
     Source: Habitat 3.0, appendix, HITL evaluation.
 
-    The interval is that of the ratio, not widened for the number of levels.
+    The interval of the ratio is not adjusted for the number of levels.
     """
     from scipy.special import ndtri
 
@@ -210,7 +212,7 @@ def relative_efficiency(
 
 
 def contrasts_text(rows: Sequence[Contrast]) -> str:
-    """Return a table of contrasts: the difference (on the link scale, the ratio), its interval, z and p."""
+    """Return a table of contrasts: the difference (a ratio on the link scale), its interval, z and p."""
     if not rows:
         return "no contrasts"
     width = max(len(f"{c.first} - {c.second}") for c in rows)

@@ -24,12 +24,12 @@ class RankAgreement:
     first_means: tuple[float, ...]
     second_means: tuple[float, ...]
     kendall: float
-    """Rank correlation by Kendall's tau-b: 1 same order, -1 reversed; NaN if all means of one evaluation are equal."""
+    """Kendall's tau-b: 1 for the same order, -1 for the reverse order; NaN if all means of one evaluation are equal."""
     kendall_low: float
     """Lower end of the bootstrap interval; NaN if no method has two values."""
     kendall_high: float
     spearman: float
-    """Spearman's rank correlation, rho."""
+    """Spearman's rank correlation rho."""
     spearman_low: float
     spearman_high: float
 
@@ -44,12 +44,12 @@ def rank_agreement(
 ) -> RankAgreement:
     """Correlate the ranks of the means of methods, with percentile bootstrap intervals.
 
-    The bootstrap resamples the values of each method (episodes) in both evaluations; with few methods the coefficients take
-    few values, and the interval is wide.
+    The bootstrap resamples the values of each method (episodes) in both evaluations; with few methods the coefficients
+    take few values, and the interval is wide.
 
     Args:
-        first: Values of each method, one per episode; NaN is left out.
-        second: The same methods in the other evaluation.
+        first: Values of each method, one per episode; NaN is ignored.
+        second: Values of the same methods in the other evaluation.
         confidence: Confidence of the intervals.
         resamples: Number of bootstrap samples.
         seed: The same seed gives the same intervals.

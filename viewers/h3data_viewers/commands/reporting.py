@@ -59,10 +59,12 @@ def report(
     executor: str = "local",
     force: bool = False,
 ) -> Report:
-    """Write a self-contained HTML report on datasets and recordings; options as of ``h3data report``.
+    """Write a self-contained HTML report on datasets and recordings.
+
+    The arguments are the options of the command ``h3data report``.
 
     Returns:
-        The report: its runs, tables, and what could not be measured.
+        The report: its runs, its tables, and the names of what could not be measured.
 
     Raises:
         InputError: there is nothing to report on, an option is wrong, or a file exists.
@@ -91,7 +93,7 @@ class ReportCommand:
     """
 
     datasets: tyro.conf.Positional[tuple[Path, ...]]
-    """Datasets, .mcap files, folders of these, which are walked, and those of h3data evaluate."""
+    """Datasets, .mcap files, folders of h3data evaluate, and folders that contain any of these."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """HTML file to write."""
     title: str
@@ -110,14 +112,14 @@ class ReportCommand:
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     stand_ins: StandInsFlag
     unseen_partners: tuple[str, ...]
-    """Partners that no robot was trained with, whose mean the heat maps show (default: as in the recordings)."""
+    """Partners that no robot was trained with; the heat maps show the mean over them (default: as in the recordings)."""
     seeds: tuple[str, ...]
-    """Policies that differ by their training seed alone, as a pattern in quotes such as "weights:out/s*/policy.npz":
-    they share one row, the mean over seeds and its standard deviation (default: as in the evaluation)."""
+    """Policies that differ only by their training seed, as a pattern in quotes such as "weights:out/s*/policy.npz":
+    they share one row with the mean over seeds and its standard deviation (default: as in the evaluation)."""
     study_model: StepsModelOption
     failed: FailedOption
     workers: int
-    """Number of processes, or Ray's workers, that read and measure the recordings."""
+    """Number of local processes, or of Ray workers, that read and measure the recordings."""
     executor: ExecutorOption
     force: ForceFlag
     json: JsonFlag = False

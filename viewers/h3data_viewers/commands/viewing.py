@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 PICTURES = (".png", ".jpg")
-"""Endings of files that contain a strip."""
+"""File name endings that select a strip of pictures."""
 
 
 @suggest_keywords
@@ -74,11 +74,11 @@ def view(
 
 @command_of(view)
 class View:
-    """Write a recording as a Rerun file or as one HTML file that plays from disk: 3-D scene, moving bodies, charts, events.
+    """Write a recording as a Rerun file or as one HTML file that plays from disk, with 3-D scene, charts and events.
 
-    The HTML file needs no server, no network and no program but a browser: send it to somebody, or put it on a page. A .png or
-    .jpg file is a strip: the moments of an episode of rearrangement (picks, places, where agents cross) side by side, each as
-    a picture and as a plan with the paths so far.
+    The HTML file needs no server, no network and no program but a browser: send it by mail or put it on a web page. A
+    .png or .jpg file contains a strip: the moments of a rearrangement episode (picks, places, agents that cross) side
+    by side. Each moment is a picture and a plan with the paths until then.
 
     Examples:
         h3data view out/demo/episode.mcap -o episode.rrd
@@ -99,18 +99,18 @@ class View:
     """Cameras to render at every fifth step: names as in rerender, or .toml or .json files (.rrd only)."""
     people: PeopleOption
     light: LightOption
-    """Light in strips and in the pictures of cameras: baked, from windows, sun and lamps; or flat, the same everywhere. The 3-D
-    scene has none."""
+    """Light in strips and in the pictures of cameras: ``baked`` is light from windows, sun and lamps, ``flat`` is the
+    same everywhere. The 3-D scene has no light."""
     assets: tuple[Path, ...]
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     stand_ins: StandInsFlag
     open: bool
-    """Open the file when it is written: .rrd in Rerun, others in the browser."""
+    """Open the file after writing it: .rrd files in Rerun, others in the browser."""
     force: ForceFlag
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Write the recording as a file in the format that its ending names."""
+        """Write the recording to a file, whose format follows from the ending of its name."""
         form = ".rrd" if self.out is None else self.out.suffix.lower()
         if form not in (".rrd", ".html", *PICTURES):
             raise InputError(

@@ -1,4 +1,4 @@
-"""Home and agents as a GLB in pieces: meshes thinned to a budget, coordinates rounded, textures as JPEG."""
+"""Home and agents of an HTML replay as a GLB in pieces: thinned meshes, rounded coordinates, and textures as JPEG."""
 
 from __future__ import annotations
 
@@ -26,19 +26,20 @@ from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.rerun.mesh_budget import baked_colors
 
 MAX_VERTICES = 130_000
-"""Greatest number of vertices of all meshes; above it, all are thinned alike. A vertex takes about 6 bytes of the file: a
-medium home has 62,000."""
+"""Greatest number of vertices of all meshes in an HTML replay. Above it, all meshes are thinned by the same factor. A
+vertex takes about 6 bytes of the file: a medium home has 62,000 vertices."""
 LEAST_VERTICES = 100
-"""Least number of vertices of a mesh that is thinned."""
+"""Smallest number of vertices to which a mesh is thinned."""
 MAX_TEXELS = 1 << 20
 TEXTURE_SIDE_PX = 256
 
 
 def add_home(payload: Payload, recording: Recording, parts: Sequence[PosedPart]) -> None:
-    """Add the parts at their first pose. Joints of bodies that are no agent's model are named ``<body>/<joint>``.
+    """Add the meshes of the home and its agents at their first pose.
 
-    The file ``home`` is the JSON of a GLB; buffer view k is ``home.k``, a file or an array of the type that its member
-    ``numbers`` says, which takes half of what a compressed GLB does. `web/src/replay/home.ts` puts the GLB together.
+    Joints of bodies that belong to no agent are named ``<body>/<joint>``. The file ``home`` is the JSON of a GLB. Its
+    buffer view k is ``home.k``, either a file or an array whose type is the member ``numbers``; this takes half as many
+    bytes as a compressed GLB. `web/src/replay/home.ts` puts the GLB together.
     """
     drawn = _within_budget([part for part in parts if len(part.mesh.faces)])
     with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
@@ -63,7 +64,7 @@ def add_home(payload: Payload, recording: Recording, parts: Sequence[PosedPart])
 
 
 def first_pose(poses: Array) -> Array:
-    """Return the first pose [1, ...] that is there, of [T, ..., 7]."""
+    """Return the first pose that is not NaN, shape [1, ..., 7], of poses [T, ..., 7]."""
     there = np.isfinite(poses).reshape(len(poses), -1).all(1)
     if there.any():
         return poses[int(np.argmax(there))][None]

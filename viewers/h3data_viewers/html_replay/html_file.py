@@ -1,8 +1,8 @@
 """Writer of a recording as one HTML file that plays from disk (`write_html`).
 
-The file holds the page (built from ``h3data_play/web/src/replay``, the scene code of live play), the home as GLB and the
-states, all of it compressed in one block of Base64. Names and texts of the recording are inside that block: the page shows them
-as text, and its Content-Security-Policy lets no other script run and nothing be loaded.
+The file holds the page (built from ``h3data_play/web/src/replay``), the home as GLB and the states, all compressed in
+one block of Base64. Names and texts of the recording are inside that block: the page shows them as text, and its
+Content-Security-Policy allows no other script and no request.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from h3data_viewers.html_replay.tracks import add_tracks
 from h3data_viewers.templates import render
 
 MOST_STATES = 6000
-"""Largest number of states in a file (200 s at 30 Hz): of longer recordings every second, third, ... is stored, and the
-page interpolates between them."""
+"""Largest number of states in an HTML replay (200 s at 30 Hz). Of longer recordings only every second or third state
+(or fewer) is stored, and the page interpolates between them."""
 
 
 @dataclass(frozen=True)
 class HtmlReplay:
-    """Replay that was written as HTML."""
+    """Properties of a replay that was written as an HTML file."""
 
     path: Path
     bytes: int

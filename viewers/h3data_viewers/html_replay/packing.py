@@ -1,13 +1,13 @@
-"""Data of an HTML replay in one compressed block: a JSON header, arrays as quantised differences, files unchanged.
+"""Format of the data of an HTML replay: one compressed block with a JSON header, quantised arrays, and unchanged files.
 
 ```
 u32 length of the header | header: JSON, UTF-8 | arrays and files, one after the other
 ```
 
-An array [T, C] is rounded to multiples of its step; differences between rows become unsigned numbers (zigzag), and equal
-bytes of all numbers lie together, column by column: neighbouring rows differ little, so most bytes are 0. The block is
-compressed with zlib, which browsers unpack themselves (`DecompressionStream`). `web/src/replay/payload.ts` reads it;
-the tests of both read a block that holds all of this (tests/viewers/replays/golden.py).
+An array [T, C] is rounded to multiples of its step; The differences between rows become unsigned numbers (zigzag).
+Bytes of equal significance are stored together, column by column: neighbouring rows differ little, so most bytes are 0.
+The block is compressed with zlib, which browsers unpack themselves (`DecompressionStream`). `web/src/replay/payload.ts`
+reads it; The tests of Python and TypeScript read the same block (tests/viewers/replays/golden.py).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from h3data_exporters.posed_parts import spans
 
 @dataclass
 class Payload:
-    """Arrays and files that are collected for a replay."""
+    """Collector of the arrays and files of an HTML replay."""
 
     entries: dict[str, dict[str, Any]] = field(default_factory=dict)
     _parts: list[bytes] = field(default_factory=list)
@@ -35,7 +35,7 @@ class Payload:
     def add_array(self, name: str, values: ArrayLike, step: float) -> str:
         """Add numbers [T, C] or [T], rounded to multiples of ``step``, and return their name.
 
-        Rows with a number that is not finite are absent: they take no space and are read as NaN.
+        Rows with a number that is not finite take no space, and are read as NaN.
         """
         rows = np.asarray(values, np.float64)
         rows = rows[:, None] if rows.ndim == 1 else rows
@@ -59,7 +59,7 @@ class Payload:
         return name
 
     def add_file(self, name: str, data: bytes) -> str:
-        """Add bytes as they are and return their name."""
+        """Add a file with unchanged content and return its name in the payload."""
         self._add(name, data)
         return name
 
@@ -70,6 +70,6 @@ class Payload:
         self._size += len(data)
 
     def packed(self, about: dict[str, Any]) -> bytes:
-        """Return the compressed block; ``about`` is plain JSON that goes into its header."""
+        """Return the compressed block of all arrays and files; ``about`` is plain JSON that goes into its header."""
         header = json.dumps({"about": about, "entries": self.entries}, allow_nan=False, separators=(",", ":")).encode()
         return zlib.compress(struct.pack("<I", len(header)) + header + b"".join(self._parts), 9)

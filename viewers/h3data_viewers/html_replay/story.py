@@ -1,4 +1,4 @@
-"""Events of a recording, for the charts, the marks and the list of events of its replay."""
+"""Events of a recording for the charts, marks and event list of its HTML replay."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from h3data_viewers.rerun.floor_marks import object_goals, walking_goals
 from h3data_viewers.rerun.timeseries import agent_pair, curves_of, is_following, lanes_of, touched_rows
 
 CONTACT_LANES = {"collision": "robot and person", "robot_contact": "robot slides along furniture"}
-"""Flags of contact and the names of their lanes. Contact of a robot with furniture and walls is no event and no
-collision: it is frequent, and CR counts contacts of robot and person."""
+"""Flags of contact and the names of their lanes. Contact of a robot with furniture and walls is neither an event nor a
+collision: it is frequent, and the metric CR counts only contacts of robot and person."""
 VERBS = {"pick": "picks up", "place": "puts down", "new_goal": "heads for a new goal", "found": "finds"}
 VERBS |= {
     "reacts": "sees the robot and is",
@@ -25,7 +25,7 @@ VERBS |= {
     "walks_to": "walks to",
     "activity": "begins to",
 }
-"""Kinds of events as parts of a sentence; others are shown as they are."""
+"""Words for kinds of events as parts of a sentence; other kinds are shown by their name."""
 SCAN_M = 0.01
 """Resolution of the stored distances of laser scans [m]."""
 _TITLES = {
@@ -38,7 +38,10 @@ _TITLES = {
 
 
 def add_story(payload: Payload, recording: Recording, rows: NDArray[np.integer]) -> dict[str, Any]:
-    """Add curves at ``rows``; return the story of the page's manifest, whose steps are indices into ``rows``."""
+    """Add the curves of a recording at ``rows``, and return the events for the page's manifest.
+
+    Steps of events are indices into ``rows``.
+    """
     return {
         "charts": _charts(payload, recording, rows),
         "lanes": _lanes(recording, rows),

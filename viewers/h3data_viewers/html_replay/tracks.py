@@ -1,4 +1,4 @@
-"""Motion of everything in a replay, in the form that the page uses.
+"""Motion of all bodies and objects in an HTML replay, in the form that the page uses.
 
 Robots, doors and drawers are posed by joints, people by bones, and everything else by poses.
 """
@@ -22,14 +22,14 @@ from h3data_exporters.posed_parts import PosedPart
 from h3data_viewers.html_replay.packing import Payload
 
 POSITION_M, HEADING_RAD, JOINT, ROTATION = 5e-4, 5e-4, 2e-4, 1e-3
-"""Resolution of stored positions, headings, joints [rad or m] and components of quaternions. Live play sends joints as
-finely and rotations in steps of 1.4e-3."""
+"""Resolution of stored positions [m], headings [rad], joints [rad or m] and components of quaternions. Live play has
+the same resolution of joints, and 1.4e-3 for rotations."""
 _STILL = 1e-4
 """Least change of a coordinate of a pose by which a thing or a bone counts as moving."""
 
 
 def add_tracks(payload: Payload, replay: Replay, parts: list[PosedPart], rows: NDArray[np.integer]) -> dict[str, Any]:
-    """Add the states at ``rows`` of the recording; return the agents, things and joints of the page's manifest.
+    """Add the states of a recording at ``rows``, and return the agents, objects and joints for the page's manifest.
 
     ``parts`` are posed at ``rows`` (`h3data_exporters.posing.posed_parts`).
     """

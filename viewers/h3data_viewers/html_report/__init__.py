@@ -1,1 +1,1 @@
-"""The HTML report."""
+"""HTML report on datasets and recordings: reading, measuring, tables, charts and pictures."""

@@ -1,4 +1,4 @@
-"""Charts of a report: estimates beside the paper's, distributions, distance over time, learning curves."""
+"""Charts of an HTML report: estimates next to the paper's, distributions, distance over time, and learning curves."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from h3data_viewers.html_report.tables import Table
 _WIDTH, _LABEL, _ROW = 360.0, 118.0, 24.0
 """Widths of a chart and of the labels left of it, and height of a row, in units of the drawing."""
 Interval = tuple[float, float, float]
-"""Mean, lower and upper end; NaN: unknown."""
+"""Interval of an estimate as mean, lower and upper end; NaN if it is unknown."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyTables:
-    """Tables of a report about episodes of participants of a study, for one task."""
+    """Tables and charts about the episodes of a study's participants, for one task of a report."""
 
     tables: tuple[Table, ...] = ()
     charts: Mapping[str, Sequence[Svg]] = field(default_factory=dict)
-    """Charts below a table, by the key of the table."""
+    """Charts that follow a table, by the key of the table."""
     missing: str = ""
-    """Reason why there are no tables of means; empty if there are."""
+    """Reason why there are no tables of means; empty if there are tables."""
 
 
 def series_class(place: int) -> str:
-    """Return the class that colours run number ``place``.
+    """Return the CSS class with the colour of the run at index ``place``.
 
-    Further runs share the eight colours, as in the macro ``legend``.
+    There are eight colours, which repeat if there are more runs.
     """
     return f"s{place % 8 + 1}"
 
@@ -67,7 +67,7 @@ def _highest(metric: Metric, values: Sequence[float]) -> float:
 
 
 def estimate_charts(runs: Sequence[Run]) -> list[Svg]:
-    """Return one panel per metric of social navigation: our means with intervals, above the paper's expert and RL."""
+    """Return one panel per metric of social navigation, with our means and intervals above the paper's expert and RL."""
     paper = [row for row in published_results().social_nav.rows if row.policies]
     return [_estimates(metric, runs, paper) for metric in SOCIAL_NAV_PROFILE.metrics]
 
@@ -99,7 +99,7 @@ def mean_charts(
 ) -> list[Svg]:
     """Return one panel per metric of a study: the estimated means of conditions with intervals.
 
-    ``estimates`` has mean, lower and upper end, or NaN, by metric and condition; ``names`` are those of all runs.
+    ``estimates`` has mean, lower and upper end (or NaN) by metric and condition. ``names`` are the names of all runs.
     """
     charts = []
     for metric in metrics:
@@ -124,7 +124,7 @@ def mean_charts(
 
 
 def distribution_charts(runs: Sequence[Run]) -> list[Svg]:
-    """Return one panel per metric that is not 0 or 1: a histogram per run, its mean marked."""
+    """Return one panel with a histogram per run for each metric that has values other than 0 and 1; the mean is marked."""
     charts = []
     for metric in [m for m in runs[0].table.metrics if not m.binary] if runs else []:
         columns = [run.table.columns[metric.name] for run in runs]
@@ -164,7 +164,7 @@ def _distribution(metric: Metric, runs: Sequence[Run], columns: Sequence[NDArray
 
 # --- over time --------------------------------------------------------------------------------------------------------
 def time_charts(runs: Sequence[Run]) -> list[Svg]:
-    """Draw distance over time with quartiles, and the shares of episodes that have reached each milestone of their profile."""
+    """Return charts of distance over time with quartiles, and of the share of episodes that reached each milestone."""
     # with their numbers, so that each keeps its colour where others are left out
     kept = [(k, run) for k, run in enumerate(runs) if any(len(e.distance_m) for e in run.episodes)]
     if not kept:
@@ -268,7 +268,7 @@ LEARNED: Mapping[str, str] = {
 
 
 def learning_charts(curves: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> list[Svg]:
-    """Return one panel per logged quantity, one line per training."""
+    """Return one panel per logged training quantity, with one line per training run."""
     quantities = dict.fromkeys(name for curve in curves.values() for name in curve if name != "step")
     return [figure for name in quantities if (figure := _learning(name, curves))]
 

@@ -1,9 +1,8 @@
-"""Data of a report: every episode is read once, measured, and stored in a few kilobytes; episodes are grouped into runs.
+"""Data of a report: every episode is read once, measured, stored in a few kilobytes, and grouped into runs.
 
-What recordings say about themselves (`Episode.info`) decides how they are grouped: ``policy``, ``partner`` (else the
-human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition``. Episodes of
-participants are one run for each condition, whoever played them; for others the condition names the run where no policy
-does.
+Episodes are grouped by entries of `Episode.info`: ``policy``, ``partner`` (or the human's body), ``population``
+(``train-pop`` or ``zsc-pop``), ``participant`` and ``condition``. Episodes of all participants in one condition are one
+run. Other episodes without a policy are grouped by condition.
 """
 
 from __future__ import annotations
@@ -41,9 +40,10 @@ from h3data_viewers.html_report.reading import Found, Unread, read_part
 from h3data_viewers.html_report.tables import counted
 
 CURVES_FILE = "learning.csv"
-"""File in a dataset's folder with the training curves of its policy: one row per logged update, a column ``step``."""
+"""Name of the file in a dataset's folder with the training curves of its policy: one row per logged update, with a
+column ``step``."""
 RUN_CURVES_FILE = "curve.parquet"
-"""File with the training curves in the folder of a run of ``h3data train``, with a column ``decisions``."""
+"""Name of the file with the training curves in the folder of a run of ``h3data train``; it has a column ``decisions``."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,12 +59,13 @@ class Run:
     episodes: tuple[ReportEpisode, ...]
     table: MetricsTable
     seeds: tuple[str, ...] = ()
-    """Policies, differing only by their training seed, whose episodes these are; empty: one policy."""
+    """Policies of the run if they differ only by their training seed; empty for a run of one policy."""
 
     def means(self, chosen: Sequence[ReportEpisode] | None = None) -> dict[str, Mean]:
         """Return the mean of each metric over ``chosen`` episodes of the run (default: all), by name.
 
-        For a run with several seeds it is the mean of their means. Without episodes the result is empty.
+        For a run with several training seeds, each value is the mean of the seeds' means. Without episodes the result
+        is empty.
         """
         episodes = self.episodes if chosen is None else tuple(chosen)
         if not episodes:
@@ -92,7 +93,7 @@ class Run:
 
     @property
     def size(self) -> str:
-        """Size in words, such as ``60 episodes``, or ``60 episodes of 3 seeds``."""
+        """Number of episodes in words, such as ``60 episodes``, or ``60 episodes of 3 seeds``."""
         episodes = counted(len(self.episodes), "episode")
         return f"{episodes} of {len(self.seeds)} seeds" if self.seeds else episodes
 
@@ -103,35 +104,35 @@ class Mean:
 
     mean: float
     low: float
-    """Lower end: one standard deviation of the seeds below the mean."""
+    """Lower end of the interval: one standard deviation below the mean for training seeds, else the 95% bound."""
     high: float
     count: int
     """Number of episodes that define the metric."""
     deviation: float = np.nan
-    """Standard deviation over seeds (n - 1)."""
+    """Standard deviation of the metric over training seeds (n - 1 in the denominator)."""
     seeds: int = 0
-    """Number of seeds that have a mean; 0 for the mean over the episodes of one policy."""
+    """Number of training seeds that have a mean; 0 for the mean over the episodes of one policy."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportData:
-    """Data that a report shows, except pictures."""
+    """Data of a report without its pictures: runs, curves and unmeasured recordings."""
 
     paths: tuple[Path, ...]
     runs: tuple[Run, ...]
     unmeasured: Mapping[str, tuple[str, ...]]
     """Names of the recordings that could not be measured, by reason."""
     curves: Mapping[str, Mapping[str, NDArray[np.float64]]]
-    """Learning curves by dataset name: columns [N] of which one is ``step``."""
+    """Learning curves by dataset name: columns of shape [N], one of which is ``step``."""
 
     @property
     def episodes(self) -> Iterator[ReportEpisode]:
-        """Episodes of all runs."""
+        """Yield the episodes of all runs."""
         return (episode for run in self.runs for episode in run.episodes)
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """Tasks of the episodes: the paper's in its order, then others in order of appearance."""
+        """Tasks of the episodes: the paper's tasks in its order, then others in order of appearance."""
         there, papers = dict.fromkeys(run.task for run in self.runs), [profile.tasks[0] for profile in PROFILES]
         return tuple(sorted(there, key=lambda task: [*papers, task].index(task)))
 
@@ -149,15 +150,15 @@ def gather(
 ) -> ReportData:
     """Read every recording of datasets, logs and folders of these, and measure each by the profile of its task.
 
-    A folder of ``h3data evaluate`` without recordings gives its results. ``unseen_partners`` names the partners of the
-    zero-shot population (default: those that the evaluation was told, else the paper's as far as all of it played, else as the
-    recordings say). Policies that fit a pattern of ``seeds``, such as ``weights:out/s*/policy.npz`` (default: those that
-    the evaluation was told), are one run of several training seeds. ``spread`` may have other processes or machines read
-    the recordings.
+    For a folder of ``h3data evaluate`` without recordings, its stored results are used. ``unseen_partners`` names the
+    partners of the zero-shot population (default: the option of the evaluation, else the paper's population if all of
+    its partners played, else the entries of the recordings). Policies that fit a pattern of ``seeds``, such as
+    ``weights:out/s*/policy.npz`` (default: the option of the evaluation), form one run of several training seeds.
+    ``spread`` may distribute the reading over processes or machines.
 
     Raises:
         InputError: there is no recording, or a path is given twice; a partner in ``unseen_partners`` does not occur;
-            what `tabulate` refuses; fewer than two policies fit a pattern of seeds.
+            episodes cannot share a table (`tabulate`); fewer than two policies fit a pattern of seeds.
         FormatError: a file is damaged.
     """
     roots = tuple(map(Path, paths))
@@ -291,7 +292,7 @@ def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[
 
 
 def same_episodes(first: Run, second: Run) -> bool:
-    """Return whether two runs hold the same episodes by the same participant, if any: equal ids, scenes and seeds."""
+    """Return whether two runs have the same episodes: equal ids, scenes and seeds, and the same participant if any."""
     a, b = (
         {e.metrics.episode_id: (e.metrics.scene, e.seed, e.participant) for e in run.episodes}
         for run in (first, second)
@@ -301,7 +302,7 @@ def same_episodes(first: Run, second: Run) -> bool:
 
 
 def read_whole(episode: ReportEpisode) -> Recording:
-    """Return the recording with its bodies and its scene, to draw pictures of it."""
+    """Return the recording of an episode with its bodies and its scene, as needed for rendering."""
     opened = open_recording(episode.source)
     return opened if isinstance(opened, Recording) else opened.recording(episode.index)
 

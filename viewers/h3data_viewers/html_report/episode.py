@@ -1,4 +1,4 @@
-"""One episode of a report: its metrics, facts from its recording, and a few kilobytes of its paths."""
+"""Data of one episode in a report: its metrics, facts from its recording, and its paths in a few kilobytes."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from h3data.metrics import EpisodeMetrics
 from h3data.recording.storage import AnyPath
 
 GRID_S = 0.5
-"""Time between stored distances [s]."""
+"""Time between stored distances of robot and person [s]."""
 TRACK_S = 0.1
-"""Time between stored points of tracks [s]."""
+"""Time between stored points of agents' tracks [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """Track of one agent."""
+    """Path of one agent in a report."""
 
     kind: str
     """Kind of agent: ``robot`` or ``human``."""
     xz: NDArray[np.float32]
-    """Floor positions every `TRACK_S`, the last row included, shape [K, 2] [m]; NaN = not there."""
+    """Floor positions (x, z) in the world [m] every `TRACK_S` and in the last row, shape [K, 2]; NaN while the agent is
+    absent."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportEpisode:
-    """Episode in the report, with its metrics."""
+    """Episode of a report, with its metrics and a summary of its motion."""
 
     source: AnyPath
     """Dataset or log that holds the episode."""
@@ -55,7 +56,7 @@ class ReportEpisode:
 
     @property
     def name(self) -> str:
-        """Name of the episode on the command line."""
+        """Name of the episode as used on the command line, such as ``ds#3``."""
         return f"{self.source}#{self.index}" if self.source.is_dir() else str(self.source)
 
     @property
@@ -65,9 +66,9 @@ class ReportEpisode:
 
     @property
     def nearest_at(self) -> NDArray[np.float32]:
-        """Places of the robot and the measured person where they are nearest to each other, shape [2, 2] [m].
+        """Positions (x, z) of the robot and the measured person where they are nearest to each other, shape [2, 2] [m].
 
-        Shape [0, 2] without either of them, or if they are never there together.
+        The shape is [0, 2] if one of them is missing, or if they are never present together.
         """
         measured = self.metrics.robot, self.metrics.human
         if min(measured) < 0 or max(measured) >= len(self.tracks):
@@ -79,9 +80,9 @@ class ReportEpisode:
 
     @property
     def studied(self) -> bool:
-        """Return whether the episode names a participant and a condition."""
+        """Return whether the episode belongs to a study: it names a participant and a condition."""
         return bool(self.participant and self.condition)
 
     def seconds(self, row: int) -> float:
-        """Return the time of a row since the beginning."""
+        """Return the time of a row since the start of the episode [s]."""
         return (row + 1) * self.metrics.dt_ns * 1e-9

@@ -1,6 +1,6 @@
 """Results of ``h3data evaluate``, which have no recordings: a row of metrics for each policy, partner and episode.
 
-They say to which population a partner belongs, and which partners ``--unseen-partners`` named.
+They include the population of each partner, and the partners given as ``--unseen-partners``.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from h3data_viewers.html_report.episode import ReportEpisode
 
 
 def holds_results(root: Path) -> bool:
-    """Return whether a folder is that of an evaluation without recordings."""
+    """Return whether a folder was written by an evaluation without recordings."""
     return (root / "table.json").is_file() and (root / "episodes").is_dir() and not (root / "recordings").is_dir()
 
 
 def evaluated_zsc(roots: Sequence[Path]) -> tuple[str, ...]:
     """Return the partners of the zero-shot population that all of these evaluations name.
 
-    The result is empty if they name none, or different ones, or a path is no evaluation.
+    The result is empty if they name no such partners, if they disagree, or if a path is not an evaluation.
     """
     told: set[tuple[str, ...]] = set()
     for root in roots:
@@ -41,7 +41,7 @@ def evaluated_zsc(roots: Sequence[Path]) -> tuple[str, ...]:
 
 
 def evaluated_seeds(roots: Sequence[Path]) -> dict[str, tuple[str, ...]]:
-    """Return the policies that are one row of the tables of these evaluations, by the pattern that names them."""
+    """Return the policies that share a row of these evaluations' tables, by the pattern that names them."""
     found: dict[str, tuple[str, ...]] = {}
     for root in roots:
         try:
@@ -61,9 +61,9 @@ def evaluated_seeds(roots: Sequence[Path]) -> dict[str, tuple[str, ...]]:
 
 
 def population_beside(partner: str, task: str) -> str:
-    """Return the population of a partner that an evaluation played by name: ``train``, ``zsc`` or empty.
+    """Return the population to which an evaluation's partner belongs: ``train``, ``zsc`` or empty.
 
-    It is the same as `ReportEpisode.population`.
+    The value becomes `ReportEpisode.population`.
     """
     from sim_kinematic.policies.rearrange import population_of
 
@@ -71,7 +71,7 @@ def population_beside(partner: str, task: str) -> str:
 
 
 def zero_shot_population(partners: Sequence[str]) -> tuple[str, ...]:
-    """Return the largest zero-shot population of the paper that all played in an evaluation; empty if none did."""
+    """Return the paper's largest zero-shot population whose members are all among ``partners``; else nothing."""
     from sim_kinematic.policies.rearrange import zsc_populations
 
     return (zsc_populations(partners) or ((),))[-1]

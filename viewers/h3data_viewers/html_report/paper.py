@@ -1,7 +1,7 @@
 """Tables with the paper's numbers next to ours, differences of paired runs, and metrics by policy and partner.
 
-There is a table for social navigation and one for rearrangement with both populations; differences are those of runs
-over the same episodes. `h3data.metrics.paper.published` has the paper's numbers and where they are printed.
+There is one table for social navigation and one for rearrangement with both populations. Differences are computed
+between runs over the same episodes. `h3data.metrics.paper.published` has the paper's numbers with their sources.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from h3data_viewers.html_report.tables import (
 
 _MOST_PAIRS = 6
 ZSC = "ZSC mean"
-"""Column of the mean over the zero-shot population in heat maps."""
+"""Heading of the column with the mean over the zero-shot population in heat maps."""
 
 
 # --- social navigation ------------------------------------------------------------------------------------------------
 def social_nav_table(runs: Sequence[Run]) -> Table:
-    """Return means with intervals of each run, the paper's rows below."""
+    """Return a table with means and intervals of each run, above the paper's rows."""
     paper = published_results().social_nav
     metrics = SOCIAL_NAV_PROFILE.metrics
     published = [
@@ -105,7 +105,7 @@ def _deviations(runs: Sequence[Run]) -> list[str]:
 
 # --- rearrangement ----------------------------------------------------------------------------------------------------
 def rearrangement_table(runs: Sequence[Run]) -> Table:
-    """Return SR, RE, CR, RC per policy with its training population and with unseen partners, above the paper's rows."""
+    """Return a table of SR, RE, CR and RC per policy, with training and unseen partners, above the paper's rows."""
     paper = published_results().rearrange
     metrics = {m.name: m for m in REARRANGEMENT_PROFILE.metrics}
     shown = ("SR", "RE", "CR", "RC")
@@ -158,7 +158,7 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
 
 # --- any other task ---------------------------------------------------------------------------------------------------
 def task_table(name: str, runs: Sequence[Run]) -> Table:
-    """Return means with intervals of each run, in the columns that the task's profile chooses."""
+    """Return a table with means and intervals of each run, in the columns that the task's profile selects."""
     profile = runs[0].profile
     shown = profile.report.columns or tuple(m.name for m in profile.metrics)
     metrics = [m for m in profile.metrics if m.name in shown]
@@ -258,7 +258,7 @@ def _paired_table(place: int, first: Run, second: Run) -> Table:
 
 # --- partners ---------------------------------------------------------------------------------------------------------
 def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
-    """Run x partner: the mean of each metric in ``names``, coloured; none if there is one partner only.
+    """Return one heat map of runs by partners per metric in ``names``; the list is empty if there is only one partner.
 
     A last column has the mean over all episodes with partners of the zero-shot population, if there is one.
     """
@@ -353,7 +353,7 @@ class _Shade:
 
 # --- small things -----------------------------------------------------------------------------------------------------
 def metric_column(metric: Metric, *, group: str = "") -> Column:
-    """Return the column of a metric, whose head has its name, an arrow for its better direction, and its unit."""
+    """Return the column of a metric, whose heading has its name, its unit, and an arrow for the better direction."""
     unit = f" [{metric.unit}]" if metric.unit in ("m", "steps") else ""
     arrow = {"higher": "↑", "lower": "↓", "neither": ""}[metric.direction]
     return Column(head=f"{metric.name}{arrow}{unit}", hint=metric.title, group=group)

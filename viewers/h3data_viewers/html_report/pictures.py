@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from h3data.scene import Scene
 
 Posing = Callable[..., "Replay"]
-"""Function that makes the `Replay` of a recording, with further arguments by name."""
+"""Type of a function that makes the `Replay` of a recording, with further arguments by name."""
 _PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
 MOST_MESSAGES = 12
-"""Largest number of messages on the card of an episode."""
+"""Largest number of messages on the card of an episode in a report."""
 _TRACKS = 40
 """At most so many trajectories per run are drawn over a plan."""
 _QUALITY = 78
@@ -46,7 +46,7 @@ _QUALITY = 78
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A floor plan for several drawings, and its place in the world."""
+    """Floor plan that several drawings share, with its scale and origin in the world."""
 
     key: str
     scene: str
@@ -60,11 +60,11 @@ class Plan:
     """JPEG as a data URI, in pale colours so that lines stand out; empty if no recording has the scene."""
 
     def points(self, xz: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the coordinates on the plan of floor points [K, 2] [m]."""
+        """Return the coordinates on the plan of world floor points (x, z), shape [K, 2] [m]."""
         return (np.asarray(xz, np.float64) - self.origin) * self.scale
 
     def picture(self, alt: str, *, caption: str = "") -> Svg:
-        """Return a drawing that begins with the plan, which the page defines once."""
+        """Return a drawing with the plan as its background; the page defines the plan once."""
         svg = Svg(self.width, self.height, alt, css="plan", caption=caption)
         svg.add("use", "", href=f"#{self.key}")
         return svg
@@ -72,12 +72,12 @@ class Plan:
 
 @dataclass
 class Plans:
-    """Floor plans by scene, made at first use."""
+    """Cache of floor plans by scene, which are made at first use."""
 
     made: dict[str, Plan] = field(default_factory=dict)
 
     def of(self, episode: ReportEpisode, scene: Scene | None = None) -> Plan:
-        """Return the plan of the scene of an episode; ``scene`` saves reading it."""
+        """Return the plan of the scene of an episode; passing ``scene`` avoids reading it again."""
         name = episode.metrics.scene
         if name not in self.made:
             if scene is None and (file := read_whole(episode).attachments.get("scene.glb")) is not None:
@@ -137,9 +137,9 @@ def _blank(key: str, episode: ReportEpisode) -> Plan:
 def trajectory_charts(runs: Sequence[Run], plans: Plans) -> tuple[list[Svg], str]:
     """Draw floor plans of the scenes with the most episodes, with the paths of agents.
 
-    Robots have the run's colour, people are grey.
+    Robots have the colour of their run, and people are grey.
 
-    The text that is returned says which scenes these are and how many there are, if not all are shown.
+    The returned text names these scenes, and their share of all scenes if some are omitted.
     """
     counts = Counter(e.metrics.scene for run in runs for e in run.episodes if e.tracks)
     charts = []
@@ -195,17 +195,17 @@ def _scale_bar(svg: Svg, plan: Plan) -> None:
 # --- best and worst ---------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class Highlight:
-    """Episode with key frames."""
+    """Episode that a report shows with key frames."""
 
     place: int
-    """Number of the episode's run."""
+    """Index of the episode's run."""
     run: Run
     kind: Literal["worst", "best"]
     episode: ReportEpisode
 
 
 def ranked_by(profile: Profile) -> tuple[str, ...]:
-    """Return metrics that say which episode is better, the most important first."""
+    """Return the metrics by which episodes are ranked from worst to best, the most important first."""
     return profile.report.ranking or tuple(m.name for m in profile.metrics if m.direction != "neither")[:3]
 
 
@@ -238,7 +238,7 @@ def _score(episode: ReportEpisode, profile: Profile) -> tuple[float, ...]:
 
 @dataclass
 class ReplayFiles:
-    """HTML replays of the episodes of a report, in a folder beside it."""
+    """Writer of HTML replays of a report's episodes, in a folder next to the report."""
 
     folder: Path
     written: list[Path] = field(default_factory=list)
@@ -263,25 +263,25 @@ class ReplayFiles:
 
 @dataclass(frozen=True, kw_only=True)
 class HighlightCard:
-    """Content of the card of an episode (macro ``cards`` of page/sections.html)."""
+    """Content of an episode's card in the report (macro ``cards`` of page/sections.html)."""
 
     highlight: Highlight
     colour: str
-    """Class that colours the episode's run."""
+    """CSS class with the colour of the episode's run."""
     plan: Svg
     sparkline: Svg | None
-    """Distance over time; None if the episode is too short."""
+    """Chart of distance over time; None if the episode is too short."""
     frames: Sequence[tuple[float, str, str]]
-    """Time [s], label and picture (a data URI) of key frames."""
+    """Key frames as time [s], label and picture (a data URI)."""
     fault: str
-    """Reason why there are no key frames; empty if there are."""
+    """Reason why there are no key frames; empty if there are some."""
     instruction: str
     messages: list[str]
-    """The first messages between agents, each with its time, and what players said about the episode."""
+    """First messages between agents, each with its time, and players' remarks about the episode."""
     replay: str
     """Address of the HTML replay; empty if there is none."""
     path: str
-    """Path of the recording, quoted for a shell."""
+    """Path of the recording, quoted for use in a shell."""
 
 
 def highlight_card(
@@ -292,10 +292,11 @@ def highlight_card(
     replays: ReplayFiles | None = None,
     folder: Path | None = None,
 ) -> HighlightCard:
-    """Return a plan with both tracks, key frames, distance over time and the metrics of one episode.
+    """Return the card of one episode: a plan with both tracks, key frames, distance over time, and metrics.
 
-    ``posed`` makes the `Replay` of a recording, to be seen in ``light``;
-    ``replays`` takes an HTML replay of the episode, which the card links; the recording is named from ``folder``.
+    ``posed`` makes the `Replay` of the recording, and ``light`` is the light in its pictures. ``replays`` writes an
+    HTML replay of the episode, to which the card links. The path of the recording on the card is relative to
+    ``folder``.
     """
     episode, colour, address = highlight.episode, series_class(highlight.place), ""
     rows = key_rows(episode, highlight.run.profile.report.milestones)

@@ -1,4 +1,4 @@
-"""Recordings read and measured for a report, by this process or by workers; the results can be sent between them."""
+"""Reading and measuring of recordings for a report, in this process or in workers."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from h3data_viewers.html_report.episode import GRID_S, TRACK_S, ReportEpisode, T
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """An episode, its metrics without the functions that compute them, and the facts that select its profile and section."""
+    """Episode that was read and measured, in a form that can be sent between processes."""
 
     episode: ReportEpisode
     task: str
     info: Mapping[str, Any]
-    """Entries ``profile`` and ``partners`` of `h3data.recording.Episode.info`, if it has them."""
+    """Entries ``profile`` and ``partners`` of `h3data.recording.Episode.info`, if they exist."""
 
 
 @dataclass(frozen=True)
 class Unread:
-    """An episode that cannot be measured."""
+    """Episode that cannot be measured, with the reason."""
 
     name: str
     reason: str
@@ -43,7 +43,7 @@ Found = list[Read | Unread]
 
 
 def read_part(part: Part) -> Found:
-    """Return the episodes of a part, measured by the profiles of their tasks."""
+    """Return the episodes of one part of the datasets, measured by the profiles of their tasks."""
     found: Found = []
     for index, recording in part_recordings(part):
         if isinstance(recording, FormatError):
@@ -65,7 +65,7 @@ def read_part(part: Part) -> Found:
 
 
 def lost_part(part: Part, fault: Exception) -> Found:
-    """Return the episodes of a part that no worker could read."""
+    """Return the episodes of a part that no worker could read, with the fault as the reason."""
     return [Unread(_name(part, index), str(fault)) for index in part.episodes or (0,)]
 
 
@@ -105,7 +105,7 @@ def _episode(source: AnyPath, index: int, recording: Recording, profile: Profile
 
 @cache
 def profiles_beside() -> tuple[Profile, ...]:
-    """Return the profiles that measure recordings with a certain key in their info, beside that of the task."""
+    """Return the additional profiles that measure recordings with a certain key in their info."""
     return tuple(profile for profile in all_profiles() if profile.beside)
 
 

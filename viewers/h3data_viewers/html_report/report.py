@@ -1,7 +1,7 @@
-"""Report about many episodes as one HTML file: the paper's tables and ours, charts, trajectories, best and worst episodes.
+"""Report about many episodes as one HTML file: our tables and the paper's, charts, trajectories and key frames.
 
-The file needs nothing else: no network, no other file, no script to be read (scripts only sort tables). Everything that
-comes from a recording is escaped, and a content security policy lets no script run but the page's own.
+The file needs no network and no other file, and it can be read without scripts, which only sort tables. All texts from
+recordings are escaped, and a content security policy allows only the page's own scripts.
 """
 
 from __future__ import annotations
@@ -54,17 +54,18 @@ from h3data_viewers.html_report.text import TASKS, episode_tables, facts, findin
 from h3data_viewers.templates import render
 
 SECTIONS: Registry[Callable[..., StudyTables]] = Registry("h3data.report_sections", {}, what="section of reports")
-"""Section ``study`` of the package of studies: a function of the runs of a task and of the model of its steps."""
+"""Registry of report sections from other packages. Section ``study`` is a function of the runs of a task and of the
+model of its steps."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Report:
-    """A written report: its files and their contents."""
+    """Report with its runs, tables, page and related files."""
 
     title: str
     data: ReportData
     tables: tuple[Table, ...]
-    """Tables of the paper for which there are episodes, and the paired differences."""
+    """Tables next to the paper's numbers, and tables of paired differences."""
     tables_of_partners: tuple[Table, ...]
     """Heat maps of policies by partners."""
     missing: tuple[str, ...]
@@ -74,7 +75,7 @@ class Report:
     """HTML replays to which the page links."""
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the page, which appears under its name when it is complete."""
+        """Write the page; the file appears only when it is complete."""
         with part_file(path) as part:
             part.write_text(self.html, encoding="utf-8")
 
@@ -106,17 +107,15 @@ def make_report(
     spread: Spread[Found] = map,
     command: str = "",
 ) -> Report:
-    """Return the report of datasets, logs and folders of logs; at most ``pictures`` episodes have key frames.
+    """Return the report on datasets, logs and folders of logs, with key frames of at most ``pictures`` episodes.
 
-    ``assets`` are folders of the files that foreign recordings name; ``people``, ``light`` and ``stand_ins`` are those of
-    the key frames, as in `h3data.replay.Replay`; ``study_model`` and ``failed`` choose the model of episodes that
-    participants did under conditions, as the options of ``h3data report`` do; ``unseen_partners`` names the partners of the
-    zero-shot population, ``seeds`` has patterns of policies that differ by their training seed alone and are one row
-    (`gather`); ``more`` are tables of what is not in recordings, each in a section of its own; ``folder`` is that of all
-    paths, from which the page names them; ``replays`` is the folder, such as `replay_folder`, for HTML replays of the
-    episodes with key frames, which link them;
-    ``spread`` may have other processes or machines read and measure the recordings; ``command`` is the command that makes
-    the report, for its last line.
+    ``assets`` are folders with the asset files of foreign recordings. ``people``, ``light`` and ``stand_ins`` set the
+    look of the key frames, as in `h3data.replay.Replay`. ``study_model`` and ``failed`` choose the statistical model of
+    a study, like the options of ``h3data report``. ``unseen_partners`` names the partners of the zero-shot population.
+    ``seeds`` has patterns of policies that differ only by their training seed and share a row (`gather`). ``more`` are
+    additional tables, each in a section of its own. Paths on the page are relative to ``folder``. ``replays`` is the
+    folder, such as `replay_folder`, for HTML replays of the episodes with key frames. ``spread`` may distribute reading
+    and measuring over processes or machines. ``command`` is the command in the last line of the page.
 
     Raises:
         InputError: there is no recording, or episodes that cannot share a table; see `gather`.
@@ -195,20 +194,20 @@ def make_report(
 
 
 def replay_folder(out: str | os.PathLike[str]) -> Path:
-    """Return the folder of the replays of a report that is written to ``out``: beside it, where its links look for them."""
+    """Return the folder for the replays of a report that is written to ``out``; it lies next to the report."""
     return Path(out).with_name(f"{Path(out).stem}_replays")
 
 
 # --- sections ---------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class ReportSection:
-    """Section of the page."""
+    """Section of the report's page."""
 
     key: str
-    """Address of the section in the page."""
+    """Anchor of the section in the page."""
     title: str
     layout: str
-    """Macro of page/sections.html that writes the section."""
+    """Macro of page/sections.html that renders the section."""
     content: Mapping[str, Any]
     """Arguments of the macro."""
 

@@ -1,4 +1,7 @@
-"""Drawings of a report as lists of SVG elements, and axes with round numbers. Colours come from classes of the page."""
+"""Drawings of a report as lists of SVG elements, and axes with round numbers.
+
+Colours come from CSS classes of the page.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,13 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Mark:
-    """Element of a drawing."""
+    """Element of an SVG drawing."""
 
     tag: str
     attributes: Mapping[str, str]
     text: str = ""
     title: str = ""
-    """Text that appears at the pointer."""
+    """Tooltip of the element."""
 
 
 @dataclass
@@ -33,13 +36,13 @@ class Svg:
     alt: str
     """Description of the picture for readers who cannot see it."""
     css: str = ""
-    """Class of the element."""
+    """CSS class of the drawing."""
     caption: str = ""
     """Text above the drawing, if the page shows it as a figure."""
     marks: list[Mark] = field(default_factory=list)
 
     def add(self, tag: str, css: str, *, text: str = "", title: str = "", **attributes: float | str) -> None:
-        """Add an element; ``_`` in names of attributes stands for a hyphen."""
+        """Add an SVG element; ``_`` in names of attributes stands for a hyphen."""
         written = {name.replace("_", "-"): v if isinstance(v, str) else _n(v) for name, v in attributes.items()}
         self.marks.append(Mark(tag, {"class": css} | written if css else written, text, title))
 
@@ -52,7 +55,7 @@ class Svg:
         self.add("rect", css, x=x, y=y, width=max(width, 0.0), height=max(height, 0.0))
 
     def path(self, points: Iterable[tuple[float, float]], css: str, *, closed: bool = False) -> None:
-        """Add a line through points, shape [K, 2]; it is broken where a point is NaN."""
+        """Add a line through points of shape [K, 2], with gaps where a point is NaN."""
         # M moves the pen without drawing: it begins each stretch between gaps
         words, pen = [], "M"
         for x, y in points:
@@ -69,19 +72,19 @@ class Svg:
         self.add("circle", css, cx=x, cy=y, r=radius, title=title)
 
     def text(self, x: float, y: float, text: str, css: str = "", *, anchor: str = "start", most: int = 0) -> None:
-        """Add a text with its base line at y; longer than ``most`` characters it is cut, and whole in its title."""
+        """Add a text with its base line at y; texts of more than ``most`` characters are cut and get a tooltip."""
         shown = text if not most else cut(text, most)
         self.add("text", css, x=x, y=y, text_anchor=anchor, text=shown, title=text if shown != text else "")
 
 
 def linear(low: float, high: float, start: float, stop: float) -> Scale:
-    """Return a function that maps values to coordinates."""
+    """Return a linear function that maps values ``low`` to ``high`` to coordinates ``start`` to ``stop``."""
     span = (high - low) or 1.0
     return lambda value: start + (value - low) / span * (stop - start)
 
 
 def ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """Return round numbers from ``low`` to ``high``, about ``count``."""
+    """Return about ``count`` round numbers from ``low`` to ``high``."""
     if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
         return [low] if math.isfinite(low) else []
     raw = (high - low) / max(count, 1)
@@ -94,7 +97,7 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
 
 
 def tick_text(value: float) -> str:
-    """Return a short text of a number: 0.5, 20, 2M."""
+    """Return a short text for a number, such as 0.5, 20 or 2M."""
     for factor, unit in ((1e9, "G"), (1e6, "M"), (1e4, "k")):
         if abs(value) >= factor:
             return f"{value / (1e3 if unit == 'k' else factor):g}{unit}"
@@ -102,7 +105,7 @@ def tick_text(value: float) -> str:
 
 
 def add_x_axis(svg: Svg, x: Scale, xs: Sequence[float], box: Box, *, title: str, grid: bool = True) -> None:
-    """Add numbers below, with lines upwards if ``grid``."""
+    """Add the numbers of the x axis below a chart, with vertical grid lines if ``grid`` is true."""
     left, top, right, bottom = box
     for value in xs:
         if grid:

@@ -1,4 +1,4 @@
-"""Tables of a report, written as Markdown and LaTeX; the macro ``data_table`` of page/parts.html writes them as HTML."""
+"""Tables of a report, and their output as Markdown and LaTeX; the macro ``data_table`` of page/parts.html writes HTML."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LATEX = {
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """Value in a table."""
+    """Cell of a table."""
 
     text: str
     """Text such as ``0.97 [0.95, 0.99]``; empty for a cell without a value."""
@@ -54,7 +54,7 @@ class Column:
     head: str
     hint: str = ""
     group: str = ""
-    """Common head of neighbouring columns of the same group."""
+    """Heading that neighbouring columns of the same group share."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,20 +69,20 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """Rows that belong together."""
+    """Group of consecutive rows of a table."""
 
     title: str
     rows: tuple[Row, ...]
     published: bool = False
-    """True if the numbers are the paper's, not ours."""
+    """True if the numbers are from the paper, false if they are ours."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of a report."""
+    """Table of a report, with its columns and sections of rows."""
 
     key: str
-    """Short name, such as ``social_nav``."""
+    """Short identifier, such as ``social_nav``."""
     title: str
     caption: str
     name_head: str
@@ -90,11 +90,11 @@ class Table:
     sections: tuple[Section, ...]
     notes: tuple[str, ...] = ()
     scale: tuple[str, str] | None = None
-    """Meanings of the palest and the darkest colour of its cells; None if cells are not coloured."""
+    """Meanings of the palest and the darkest cell colour; None if cells are not coloured."""
 
     @property
     def groups(self) -> list[tuple[str, int]]:
-        """Group heads with the number of columns that each spans; empty if no column has a group."""
+        """Headings of column groups with the number of columns that each spans; empty if no column has a group."""
         if not any(column.group for column in self.columns):
             return []
         spans: list[tuple[str, int]] = []
@@ -108,7 +108,7 @@ class Table:
 
 # --- numbers ----------------------------------------------------------------------------------------------------------
 def number(value: float, digits: int = 2) -> str:
-    """Return a number with a fixed count of decimals; a dash for NaN."""
+    """Return a number with a fixed count of decimals, or a dash for NaN."""
     if not math.isfinite(value):
         return "–"
     text = f"{value:.{digits}f}"
@@ -124,8 +124,8 @@ def counted(count: int, noun: str) -> str:
 def cut(text: str, most: int) -> str:
     """Shorten a name to at most ``most`` characters.
 
-    Sentences lose their end, single words their middle, since names of scenes and policies often differ only at the
-    end.
+    Sentences are cut at the end and single words in the middle, because names of scenes and policies often differ only
+    at the end.
     """
     if len(text) <= most:
         return text
@@ -135,13 +135,13 @@ def cut(text: str, most: int) -> str:
 
 
 def mean_cell(mean: float, low: float = NAN, high: float = NAN, *, digits: int = 2, small: str = "") -> Cell:
-    """Return the cell ``mean [low, high]``; without the bracket if there is no interval."""
+    """Return a cell with the text ``mean [low, high]``, or only the mean if there is no interval."""
     interval = "" if math.isnan(low) else f" [{number(low, digits)}, {number(high, digits)}]"
     return Cell(text=number(mean, digits) + interval, value=mean, small=small)
 
 
 def spread_cell(values: tuple[float, ...], *, digits: int = 2) -> Cell:
-    """Return a published value: ``mean``, ``mean ± std`` or ``mean [low, high]``; empty if there is none."""
+    """Return a cell with a published value: ``mean``, ``mean ± std``, ``mean [low, high]``, or empty without a value."""
     if not values:
         return Cell(text="")
     if len(values) == 3:
@@ -157,7 +157,7 @@ def p_text(p: float) -> str:
 
 # --- Markdown ---------------------------------------------------------------------------------------------------------
 def to_markdown(table: Table) -> str:
-    """Return a GitHub table under a heading; the sections are set in bold."""
+    """Return a table as GitHub Markdown under a heading, with section names in bold."""
     heads = [table.name_head, *(f"{c.group}: {c.head}" if c.group else c.head for c in table.columns)]
     lines = [f"### {_md(table.title)}", "", _md(table.caption), "", "| " + " | ".join(map(_md, heads)) + " |"]
     lines.append("|" + " --- |" + " ---: |" * len(table.columns))
@@ -179,7 +179,7 @@ def _md(text: str) -> str:
 
 # --- LaTeX ------------------------------------------------------------------------------------------------------------
 def to_latex(table: Table) -> str:
-    """Return a ``table`` environment that needs the package booktabs."""
+    """Return a table as a LaTeX ``table`` environment, which needs the package booktabs."""
     lines = [r"\begin{table}", r"\centering", rf"\caption{{{_tex(table.caption)}}}", rf"\label{{tab:{table.key}}}"]
     lines += [rf"\begin{{tabular}}{{@{{}}l{'c' * len(table.columns)}@{{}}}}", r"\toprule"]
     if table.groups:

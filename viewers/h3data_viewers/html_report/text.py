@@ -1,4 +1,4 @@
-"""Texts of a report: the numbers at its top, findings in words, the lists of episodes, remarks on the measurement."""
+"""Texts of a report: key numbers, findings in words, lists of episodes, and remarks on the measurement."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from h3data_viewers.html_report.data import ReportData
 from h3data_viewers.html_report.tables import Cell, Column, Row, Section, Table, counted, number
 
 TASKS = {profile.tasks[0]: profile.report.title.lower() for profile in PROFILES}
-"""Names of the paper's tasks in words, in its order."""
+"""Titles of the paper's tasks in lower case, in the paper's order, by task name."""
 _LISTED, _MOST_LOGS = 5_000, 8
 """Largest numbers of episodes, and of imported logs, that are listed one by one."""
 
@@ -20,7 +20,7 @@ def task_name(task: str) -> str:
 
 
 def facts(data: ReportData) -> list[tuple[str, str]]:
-    """Return numbers at the top of a report, each with its noun."""
+    """Return the key numbers at the top of a report, each with its noun."""
     episodes = list(data.episodes)
     steps = sum(e.metrics.rows for e in episodes)
     hours = sum(e.metrics.rows * e.metrics.dt_ns for e in episodes) * 1e-9 / 3600
@@ -32,7 +32,7 @@ def facts(data: ReportData) -> list[tuple[str, str]]:
 
 
 def findings(data: ReportData) -> list[str]:
-    """Return the main numbers in words, with the paper's numbers in brackets; unknown numbers are left out."""
+    """Return the known main results of a report as sentences, with the paper's numbers in brackets."""
     lines = []
     for run in data.runs:
         summary, metrics = run.means(), {m.name: m for m in run.table.metrics}
@@ -64,7 +64,7 @@ def _in_words(metric: Metric, mean: float) -> str:
 
 
 def episode_tables(data: ReportData) -> list[tuple[str, Table]]:
-    """Return the number of episodes of each task in words, and the table of these episodes."""
+    """Return a table of the episodes of each task, with the number of episodes in words."""
     tables = []
     for task in data.tasks:
         name, runs = task_name(task), data.of_task(task)

@@ -1,4 +1,4 @@
-"""Cameras in a Rerun file: frustum, track, and images, as stills that every viewer shows or as an embedded video."""
+"""Cameras in a Rerun file: their frustum, track and images, which are stills for every viewer or an embedded video."""
 
 from __future__ import annotations
 
@@ -30,13 +30,14 @@ class CameraFeed:
     """A camera with its track and its images."""
 
     camera: Camera
-    """Intrinsics and name."""
+    """Intrinsics and name of the camera."""
     poses: NDArray[np.floating] | None = None
-    """Matrices from camera (OpenCV axes) to world, [T, 4, 4] or [1, 4, 4] for a static camera; None: `Camera.pose`."""
+    """Matrices from camera (OpenCV axes) to world, [T, 4, 4], or [1, 4, 4] for a static camera; None selects
+    `Camera.pose`."""
     video: Path | None = None
     """MP4 file with the images of the camera; None if there is no video."""
     steps: NDArray[np.integer] | None = None
-    """Step of each video frame; None: the frames are spread evenly over the recording."""
+    """Step of each video frame; None if the frames are spread evenly over the recording."""
     stills: Iterable[tuple[int, NDArray[np.uint8]]] | None = None
     """Pairs of step and sRGB image [H, W, 3], instead of a video."""
 
@@ -64,7 +65,7 @@ def rendered_feed(replay: Replay, name: str) -> CameraFeed:
 
 
 def scaled(camera: Camera, factor: float) -> Camera:
-    """Return a camera with the same view whose images are ``factor`` times as large, at least 1x1 pixel."""
+    """Return a camera with the same view whose images are larger by ``factor``, and at least 1x1 pixel."""
     return camera.resized(*(max(round(side * factor), 1) for side in (camera.width, camera.height)))
 
 

@@ -22,7 +22,8 @@ from h3data_viewers.rerun.transforms import LoggedTrack, decompose, step_blocks
 MESH_BYTES = 12_000_000
 """Budget of all rigid meshes [bytes]; above it, all are thinned by the same factor."""
 TEXTURE_BYTES = 8_000_000
-"""Budget of all textures, which are halved until they fit: a ``.rrd`` stores texels uncompressed, once per mesh."""
+"""Budget of all textures [bytes], which are halved until they fit: a ``.rrd`` stores texels uncompressed, once per
+mesh."""
 TEXTURE_SIDE_PX = 512
 SKIN_BYTES = 16_000_000
 """Budget of all skinned bodies [bytes]; above it, they are sampled less often."""
@@ -31,7 +32,7 @@ AGENT_COLORS = {
     "robot": ((255, 202, 40), (239, 83, 80), (255, 138, 101), (212, 225, 87)),
     "human": ((66, 165, 245), (171, 71, 188), (38, 166, 154), (121, 134, 203)),
 }
-"""Colours of the name tag, path and marks of the agents of each kind, in their order: warm for robots, cold for people."""
+"""Colours of the name tag, path and marks of agents by kind and order: warm for robots, cold for people."""
 PATH_RADIUS_M, MARK_M = 0.025, 0.09
 
 
@@ -50,7 +51,7 @@ class Drawable(Protocol):
 
     @property
     def matrix(self) -> NDArray[np.floating]:
-        """World matrix of a mesh that does not move [4, 4]."""
+        """World matrix of a static mesh, shape [4, 4]."""
         ...
 
     @property
@@ -79,7 +80,7 @@ class PosedScene(Protocol):
 
     @property
     def drawables(self) -> Sequence[Drawable]:
-        """All meshes of the scene and its agents."""
+        """Meshes of the scene and its agents."""
         ...
 
     def matrices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
@@ -100,7 +101,7 @@ def entity_part(name: str) -> str:
 
 
 def log_agents(sink: Sink, recording: Recording, with_meshes: set[int]) -> None:
-    """Log root frames, name tags, and trajectories with marks at both ends; and solids for agents without meshes."""
+    """Log root frames, name tags and trajectories of all agents, and simple solids for agents without meshes."""
     import rerun as rr
 
     for i, (agent, color) in enumerate(zip(recording.agents, agent_colors(recording.agents), strict=True)):
@@ -179,7 +180,7 @@ class _Appearance:
 def log_rigid(sink: Sink, recording: Recording, replay: PosedScene, *, share: float = 1.0) -> None:
     """Log the meshes of all drawables that do not deform, static or with a track.
 
-    ``share`` is the part of the byte budgets that this recording may use: less than 1 if the file holds several.
+    ``share`` is the fraction of the byte budgets that this recording may use, less than 1 if the file holds several.
     """
     rigid = [(i, d) for i, d in enumerate(replay.drawables) if not d.deformable and len(d.mesh.faces)]
     appearances = _appearances([d.mesh for _, d in rigid], share)
@@ -275,7 +276,8 @@ def _log_mesh(sink: Sink, entity: str, appearance: _Appearance, matrix: NDArray[
 def log_skins(sink: Sink, recording: Recording, replay: PosedScene, skin_every: int, *, share: float = 1.0) -> None:
     """Log the vertices of skinned bodies every ``skin_every`` steps or less often, within ``share`` of the budget.
 
-    They are relative to their agent's root frame, which moves at the full rate: a walking body never jumps.
+    Vertices are relative to the agent's root frame, which is logged at every step, so that walking bodies move
+    smoothly.
     """
     import rerun as rr
 

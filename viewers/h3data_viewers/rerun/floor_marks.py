@@ -1,4 +1,4 @@
-"""Marks on the floor of a Rerun view: free space, goals of objects and people, scans of laser scanners."""
+"""Marks on the floor of a Rerun view: free space, goals of objects and people, and points of laser scans."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ABOVE_FLOOR_M = 0.015
 LABEL_APART_M = 0.8
 """Distance of points below which their labels would overlap when the whole home is in view [m]."""
 SCAN_EVERY = 3
-"""Number of steps between visible scans: 360 points take 4 kB."""
+"""Number of steps between logged scans; a scan of 360 points takes 4 kB."""
 
 
 # --- free space -------------------------------------------------------------------------------------------------------
@@ -57,7 +57,7 @@ def log_free_space(sink: Sink, recording: Recording, scene: Scene | None) -> boo
 
 # --- scans ------------------------------------------------------------------------------------------------------------
 def log_scans(sink: Sink, recording: Recording) -> None:
-    """Log the points that laser scanners met below ``world/scans``, every `SCAN_EVERY` steps."""
+    """Log the points of laser scans below ``world/scans``, every `SCAN_EVERY` steps."""
     import rerun as rr
 
     rows = np.arange(0, len(recording), SCAN_EVERY)
@@ -93,7 +93,7 @@ def log_goals(sink: Sink, recording: Recording) -> None:
 
 
 def stacked_labels(positions: NDArray[np.floating], labels: Sequence[str]) -> list[str]:
-    """Return one label per point [N, 3]: points nearer than `LABEL_APART_M` to an earlier one join its label, line by line."""
+    """Return one label per point [N, 3]; points within `LABEL_APART_M` of an earlier point are listed in its label."""
     heads: list[int] = []
     texts = [""] * len(labels)
     for k, label in enumerate(labels):
@@ -120,7 +120,7 @@ def object_goals(recording: Recording) -> tuple[NDArray[np.float64], list[str]]:
 
 
 def walking_goals(recording: Recording) -> list[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
-    """Return the first person's index, the rows [N] in which their walking goal changes, and the goals [N, 3] [m]."""
+    """Return the first person's index, the rows [N] in which their walking goal changes, and these goals [N, 3] [m]."""
     goals = _points(recording.episode.info.get("human_goals"), 2, "human_goals")
     column = recording.columns.get("sim.human_goal")
     people = [i for i, a in enumerate(recording.agents) if a.kind == "human"]

@@ -1,4 +1,4 @@
-"""Initial layout of the Rerun window: homes in 3-D; cameras, distances, lanes and log beside or below them."""
+"""Initial layout of the Rerun window: 3-D views of homes, with cameras, distances, lanes and log next to or below them."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoggedRecording:
-    """Entity paths of one recording."""
+    """Entity paths of one recording in a Rerun file."""
 
     label: str
     """Root of the recording's entities; empty if the file holds no other recording."""
     name: str
     """Title of the recording's 3-D view."""
     world: str
-    """Absolute path of the recording's home, like all paths below."""
+    """Absolute entity path of the recording's home, which is the prefix of all paths below it."""
     focus: NDArray[np.floating]
     """Box [2, 3] that the 3-D view initially shows [m]."""
     hidden: Sequence[str]
-    """Entities that are hidden initially: ceilings."""
+    """Entity paths that are hidden initially, such as ceilings."""
     cameras: Sequence[str]
     plotted: Sequence[str]
     lanes: Sequence[str]
     latency: Sequence[str]
-    """Round trips of people who played live [ms]."""
+    """Entity paths of the round trips of people who played live [ms]."""
     log: str
-    """Root of the event log; empty if there is none."""
+    """Entity path of the event log; empty if there is none."""
     inputs: str
-    """Root of people's raw input; empty if none was recorded."""
+    """Entity path of people's raw input; empty if none was recorded."""
 
 
 THIRD_PERSON = "third_person"
-"""Name of the camera whose pictures get a row of their own above all others."""
+"""Name of the camera whose pictures have their own row above all others."""
 LARGE_SHARE, LANE_SHARE = 3.0, 0.34
 """Heights of the row of `THIRD_PERSON` and of a lane, relative to that of the distances."""
 
@@ -52,8 +52,8 @@ def camera_name(entity: str) -> str:
 def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Blueprint:
     """Arrange views of the logged recordings, which share plots, lanes and log; rows without content are omitted.
 
-    A single home stands to the left of the other views, several stand side by side above them. Pictures in third person
-    are the largest. The window opens paused at the first step.
+    A single home is on the left of the other views, and several homes are side by side above them. Third-person
+    pictures are the largest. The window opens paused at the first step.
     """
     import rerun.blueprint as rrb
 

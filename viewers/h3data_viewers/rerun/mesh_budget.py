@@ -1,4 +1,4 @@
-"""Meshes reduced for a viewer file: vertices thinned by clustering, textures scaled down, flat facets without normals."""
+"""Reduction of meshes for a viewer file by clustered vertices, smaller textures, and flat facets without normals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ViewMesh:
-    """Arrays in the layout of Rerun's `Mesh3D`: triangles with at most one texture."""
+    """Mesh arrays in the layout of Rerun's `Mesh3D`: triangles with at most one texture."""
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.int32] | None
@@ -26,11 +26,12 @@ class ViewMesh:
     normals: NDArray[np.float32] | None
     uv: NDArray[np.float32] | None = None
     texture: Texture | None = None
-    """Texture; the surface colour is texel times vertex colour. The viewer treats every texel as opaque."""
+    """Texture, if any; the surface colour is the texel times the vertex colour. The viewer treats every texel as
+    opaque."""
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the arrays without the texture; colours count with alpha."""
+        """Size of the arrays without the texture [bytes]; colours count with alpha."""
         arrays = (self.vertices, self.faces, self.normals, self.uv)
         return 4 * len(self.colors) + sum(a.nbytes for a in arrays if a is not None)
 
@@ -76,9 +77,9 @@ def _part(mesh: Mesh, faces: NDArray[np.int32], uv: NDArray[np.float32] | None, 
 
 
 def baked_colors(mesh: Mesh) -> NDArray[np.uint8]:
-    """Return the vertex colours [V, 3] (sRGB) times the texture's colour at each vertex.
+    """Return the vertex colours [V, 3] (sRGB) multiplied by the texture's colour at each vertex.
 
-    A vertex that several textures share takes that of its last triangle.
+    A vertex that several textures share has the colour of its last triangle.
     """
     if mesh.uv is None or not mesh.textures:
         return mesh.colors

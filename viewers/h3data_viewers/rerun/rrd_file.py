@@ -44,12 +44,12 @@ class ViewedRecording:
 
     recording: Recording
     replay: PosedScene | None = None
-    """Meshes and poses; without it, agents appear as simple solids."""
+    """Meshes and poses of the recording; None shows agents as simple solids."""
     cameras: Sequence[CameraFeed] = ()
     videos: Mapping[str, Path] = field(default_factory=dict)
     """MP4 files of further cameras of the replay, by camera name (see `h3data.replay.camera_names`)."""
     name: str = ""
-    """Title in a comparison; by default task and episode id."""
+    """Title of the recording in a comparison; empty selects task and episode id."""
 
 
 def write_rrd(
@@ -72,7 +72,7 @@ def write_rrd(
         replay: meshes and poses, as in `ViewedRecording`.
         cameras: cameras to show, as feeds or as tracks with their MP4 files.
         videos: MP4 files of cameras of the replay, as in `ViewedRecording`.
-        videos_ready: called before they are read; it may wait until they are complete, while all else is written here.
+        videos_ready: Function that is called before the videos are read, and may wait until they are complete.
         images: storage of camera videos, see `h3data_viewers.rerun.cameras.log_camera`.
         skin_every: steps between samples of skinned bodies, which move rigidly with their agent in between. A larger
             interval is chosen where the file would otherwise become too large.
@@ -102,9 +102,9 @@ def write_comparison_rrd(
 ) -> Path:
     """Write a Rerun file that shows two recordings side by side on one timeline, and return its path.
 
-    The first recording lies below ``/a``, the second below ``/b``. Each has a 3-D view of its own; they share plots,
+    The first recording lies below ``/a``, the second below ``/b``. Each has its own 3-D view, and they share plots,
     lanes and log. They may differ in scene, agents, task and length: the shorter one stays in its last state, and its
-    lanes and log say that it has ended. The timeline is ``step`` if their common steps are at the same times, else
+    lanes and log state that it has ended. The timeline is ``step`` if the steps of both are at the same times, else
     ``sim_time``.
 
     Raises:

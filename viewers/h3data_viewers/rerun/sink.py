@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 class DeferredStream:
     """Buffer for the calls of a Rerun stream until `release`.
 
-    Viewers play everything before the layout, but the names that a layout needs are known only after everything is
-    logged.
+    Viewers need the layout first, but its entity names are known only after everything is logged.
     """
 
     calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = field(default_factory=list)
@@ -44,29 +43,29 @@ Rows = NDArray[np.integer] | Sequence[int]
 
 @dataclass(frozen=True, eq=False)
 class Sink:
-    """A Rerun stream bound to the time column and the root entity of one recording."""
+    """Rerun stream bound to the time column and the root entity of one recording."""
 
     stream: rr.RecordingStream | DeferredStream
     time_ns: NDArray[np.int64]
     """Column ``time_ns`` of the recording, shape [T]."""
     label: str = ""
-    """Root of all its entities; empty if the file holds no other recording."""
+    """Root entity of the recording; empty if the file holds no other recording."""
 
     def path(self, entity: str) -> str:
         """Return the absolute path of an entity."""
         return f"/{self.label}/{entity}" if self.label else f"/{entity}"
 
     def static(self, entity: str, *parts: Any) -> None:
-        """Log components that never change."""
+        """Log components of an entity that never change."""
         # strict: a wrong component raises, where Rerun would only log a warning
         self.stream.log(self.path(entity), *parts, static=True, strict=True)
 
     def columns(self, entity: str, rows: Rows | None, columns: Iterable[rr.ComponentColumn]) -> None:
-        """Log one value at each of ``rows``, or at every row if None; row T is one step after the last."""
+        """Log one value at each of ``rows``, or at every row if ``rows`` is None; row T is one step after the last."""
         self.stream.send_columns(self.path(entity), self._at(rows), columns, strict=True)
 
     def moments(self, entity: str, time_ns: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]) -> None:
-        """Log one value at each of ``time_ns``, which may lie between rows; the step is that of the next row."""
+        """Log one value at each of ``time_ns`` [ns], which may lie between rows; the step is that of the next row."""
         import rerun as rr
 
         steps = np.searchsorted(self.time_ns, time_ns)

@@ -18,9 +18,9 @@ from h3data.recording.records import Recording
 from h3data_viewers.rerun.sink import Sink
 
 NOTHING = "-"
-"""Name of the lane state while no skill or motion is running."""
+"""Lane state while no skill or motion is running."""
 ENDED = "ended"
-"""Name of the lane state after the last step, in files whose other recording is longer."""
+"""Lane state after the last step, in files whose other recording is longer."""
 STATE_COLORS = {
     NOTHING: 0x3A3A3AFF,
     "apart": 0x616161FF,
@@ -35,7 +35,7 @@ PALETTE = (0x1E88E5FF, 0x8E24AAFF, 0x00897BFF, 0xF4511EFF, 0x6D4C41FF, 0x3949ABF
 
 
 def agent_pair(recording: Recording) -> tuple[int, int] | None:
-    """Return the robot and the human that metrics are computed for, or None if there is no such pair."""
+    """Return the numbers of the robot and the human for which metrics are computed, or None if there is no such pair."""
     try:
         return find_agents(recording)
     except InputError:
@@ -43,7 +43,7 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
 
 
 def touched_rows(recording: Recording) -> NDArray[np.bool_]:
-    """Return rows in which the robot touches a person [T], as far as the recording distinguishes it from other contact."""
+    """Return a mask [T] of the rows in which the robot is recorded as touching a person."""
     # with several agents, `collision` may be a contact between others
     people = recording.columns.get("metrics.collision_people")
     if people is not None and people.ndim == 2:
@@ -53,7 +53,7 @@ def touched_rows(recording: Recording) -> NDArray[np.bool_]:
 
 
 def is_following(recording: Recording) -> bool:
-    """Return whether the robot's task is to follow a person: only then are 1 and 2 m bounds, and nearness a merit."""
+    """Return whether the robot's task is to follow a person, so that the bounds of 1 and 2 m apply."""
     return recording.episode.task == SOCIAL_NAV_PROFILE.tasks[0]
 
 
@@ -232,6 +232,6 @@ def log_latency(sink: Sink, recording: Recording) -> tuple[str, ...]:
 
 
 def following_rows(recording: Recording, robot: int, human: int) -> NDArray[np.bool_]:
-    """Return the rows in which the robot is within 1-2 m of the human and faces them, shape [T]: the rows ``w`` counts."""
+    """Return a mask [T] of the rows in which the robot is within 1-2 m of the human and faces them (metric ``w``)."""
     robot_pose, human_pose = (recording.agent_column(agent, "base_pose") for agent in (robot, human))
     return found_series(robot_pose, human_pose, reach_distance(recording, robot, human))["found"]

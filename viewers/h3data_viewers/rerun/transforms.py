@@ -9,7 +9,7 @@ from h3data.geometry import quat_from_matrix, quat_sign_continuous
 from h3data_viewers.rerun.sink import Sink
 
 BLOCK_STEPS = 4096
-"""Number of steps whose poses are computed and logged together, which limits the memory for a long recording."""
+"""Number of steps whose poses are computed and logged together; it limits the memory for a long recording."""
 
 
 def decompose(
@@ -46,7 +46,7 @@ class LoggedTrack:
         self._has_scale = self._logs_visibility = False
 
     def log(self, steps: NDArray[np.integer], matrices: NDArray[np.floating]) -> None:
-        """Log poses [n, 4, 4] at the next ``steps`` [n], n >= 1; NaN where the entity is not in the world."""
+        """Log poses [n, 4, 4] at the next ``steps`` [n], n >= 1; NaN while the entity is not in the world."""
         import rerun as rr
 
         present = np.asarray(np.isfinite(matrices).reshape(len(matrices), 16).all(axis=1))

@@ -1,5 +1,5 @@
-"""Skin, clothes and hair of people, as patches over a base that every body has its own shape of.
+"""Skin, clothes and hair of people, as patches over a base mesh that is fitted to every body.
 
-`measures` (landmarks and coordinates on a rig) > `base` (skin, lasts, cages) > `drafts` (patches in the making) > `skin`,
-`cloth`, `garments`, `hair`, `shoes` > `wardrobe` (all of it as arrays).
+`measures` (landmarks and coordinates on a rig) > `base` (skin, lasts, cages) > `drafts` (patches under construction) >
+`skin`, `cloth`, `garments`, `hair`, `shoes` > `wardrobe` (all of it as arrays).
 """

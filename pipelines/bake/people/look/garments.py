@@ -1,4 +1,4 @@
-"""The garments: what is cut out of the base, how far it stands off, what is sewn onto it."""
+"""Garments: their cuts from the base, their distance from the skin, and their seams and collars."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Top:
     flare_m: float = 0.004
     """Width that sleeves gain towards their ends."""
     hang: float | None = 0.22
-    """Distance by which it falls inwards below the chest, per metre; None clings."""
+    """Inward fall of the cloth below the chest per metre; None for clinging cloth."""
     folds_m: float = 0.004
     cuffs_m: float = 0.0
     """Height of ribbed cuffs and waistband, which gather the cloth."""
@@ -73,24 +73,24 @@ class Bottom:
     """Height of the waist over the pelvis, in statures."""
     ease_m: float = 0.006
     seat: float = 0.45
-    """Distance by which it falls inwards below the seat, per metre."""
+    """Inward fall of the cloth below the seat per metre."""
     width_m: tuple[float, float, float] = (0.088, 0.069, 0.063)
     """Least radius of the cloth at the thigh, at the knee and at its end [m]."""
     folds_m: float = 0.005
     cuffs_m: float = 0.0
     tucked: float = -0.05
-    """Down to this height over the pelvis, in statures, it lies close, since a top falls over it."""
+    """Height over the pelvis down to which the cloth lies close below a top, in statures."""
     ribs: bool = False
-    """Lines along the legs, as corduroy has them."""
+    """True for lines along the legs, as in corduroy."""
     crease: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dress(Top):
-    """A bodice with a skirt."""
+    """Dress with a bodice and a skirt."""
 
     flare: float = 0.10
-    """Distance by which the skirt stands off further, per metre of its length."""
+    """Additional distance of the skirt from the body per metre of its length."""
     pleats: int = 18
     pleat_m: float = 0.010
 
@@ -156,7 +156,7 @@ def _refined(s: Sheet, fine: bool) -> Sheet:
 
 
 def top(ground: Ground, skin: Sheet, spec: Top, *, fine: bool) -> Draft:
-    """A garment of the upper body over a sheet of the whole skin."""
+    """Return a garment of the upper body over a sheet of the whole skin."""
     m = ground.base.measures
     s = kept(skin, lambda mesh: limits(mesh, m, spec)[0])
     s = kept(s, lambda mesh: limits(mesh, m, spec)[1])
@@ -214,7 +214,7 @@ def _hollows(points: Array, faces: NDArray[np.int32], source: NDArray[np.int64],
 
 
 def limits(mesh: Cloth, m: Measures, spec: Top) -> tuple[Array, Array, Array]:
-    """Returns the distance inside hem, sleeves and neckline [m]."""
+    """Return the distance inside hem, sleeves and neckline [m]."""
     arms = m.arms(mesh) > 0.5
     hem = np.where(arms, 1.0, mesh.vertices[:, 1] - m.pelvis[1] - spec.hem * m.stature)
     bone, share = spec.sleeve
@@ -224,7 +224,7 @@ def limits(mesh: Cloth, m: Measures, spec: Top) -> tuple[Array, Array, Array]:
 
 
 def top_lift(ground: Ground, m: Measures, mesh: Cloth, spec: Top) -> Array:
-    """Returns how far a top stands off the skin [m]."""
+    """Return the distance of a top from the skin [m], shape [V]."""
     hem, sleeve, neck = limits(mesh, m, spec)
     arms, (u, _) = m.arms(mesh), m.along_arm(mesh)
     hem_y = float(m.pelvis[1]) + spec.hem * m.stature
@@ -354,7 +354,7 @@ def _buttons(ground: Ground, shown: Array, m: Measures, spec: Top) -> list[Draft
 
 
 def bottom(ground: Ground, skin: Sheet, spec: Bottom, *, fine: bool) -> Draft:
-    """Trousers over a sheet of the whole skin."""
+    """Return trousers over a sheet of the whole skin."""
     m = ground.base.measures
     waist = float(m.pelvis[1]) + spec.top * m.stature
 
@@ -401,7 +401,7 @@ def bottom(ground: Ground, skin: Sheet, spec: Bottom, *, fine: bool) -> Draft:
 
 
 def dress(ground: Ground, skin: Sheet, spec: Dress, *, fine: bool) -> list[tuple[Draft, str]]:
-    """Bodice over the skin, skirt over its cage; each with the part of the base that it lies on."""
+    """Return bodice over the skin, skirt over its cage; each with the part of the base that it lies on."""
     m = ground.base.measures
     start, columns = ground.base.starts["skirt"], SKIRT_COLUMNS
     cage = ground.body.vertices[start : start + SKIRT_ROWS * columns].reshape(SKIRT_ROWS, columns, 3)

@@ -18,17 +18,17 @@ from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_INDEX
 from h3data.geometry import Array, normalized
 
 SUNK_M = -0.005
-"""Below the skull: where a shell is not seen."""
+"""Offset below the skull at which a shell is invisible [m]."""
 SHOULDER_ROOM_M = 0.034
-"""Hair that hangs keeps this far from the shoulders, over what is worn there."""
+"""Least distance of hanging hair from the shoulders, for the clothes there [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hair:
-    """One hairstyle."""
+    """Hairstyle with its hairline, strands and lengths."""
 
     line: Literal["over ears", "short"] = "short"
-    """Down to where it grows (`HAIRLINES`)."""
+    """Name of the hairline (`HAIRLINES`)."""
     top_m: float = 0.022
     side_m: float = 0.010
     strand_m: float = 0.0022
@@ -150,7 +150,7 @@ def _outside(head: Round, points: Array, room: Array) -> Array:
 
 
 def hair(ground: Ground, spec: Hair, *, fine: bool) -> Draft:
-    """A hairstyle over the cage of the head."""
+    """Return a hairstyle over the cage of the head."""
     skull, m = Skull(ground), ground.base.measures
     rows, columns, hanging = (20, 72, 10) if fine else (7, 16, 3)
     azimuth = np.linspace(0, 2 * np.pi, columns, endpoint=False)
@@ -221,7 +221,7 @@ def hair(ground: Ground, spec: Hair, *, fine: bool) -> Draft:
 
 
 def under_hair(ground: Ground, spec: Hair, points: Array) -> Array:
-    """Returns how far inside the hairline points of the skin [N, 3] are [m]; -1 where little or nothing grows."""
+    """Return the distance of skin points [N, 3] inside the hairline [m]; -1 where little or no hair grows."""
     from scipy.ndimage import minimum_filter
     from scipy.spatial import KDTree
 
@@ -406,7 +406,7 @@ def _wrap(ground: Ground, skull: Skull, *, fine: bool) -> Draft:
 
 # --- brows and beard --------------------------------------------------------------------------------------------------
 def brows(ground: Ground, *, fine: bool) -> Draft:
-    """Both brows as ribbons on the face: level, arched a little, thinner outside."""
+    """Return both brows as ribbons on the face: level, arched a little, thinner outside."""
     from scipy.interpolate import griddata
 
     m = ground.base.measures
@@ -434,7 +434,7 @@ def brows(ground: Ground, *, fine: bool) -> Draft:
 
 
 def beard_draft(ground: Ground, skin: Sheet, *, fine: bool) -> Draft:
-    """A short full beard."""
+    """Return a short full beard."""
     m = ground.base.measures
     corners, shares, _ = ground.attached(skin.vertices, "skin")
     lips = np.einsum("vk,vk->v", shares, ground.base.masks["lips"][corners])

@@ -31,19 +31,19 @@ class Cloth:
     """A surface on the pattern body: what fields are evaluated on and what is cut."""
 
     vertices: Array
-    """Shape [V, 3] [m]."""
+    """Vertices of the surface, shape [V, 3] [m]."""
     weights: Array
-    """Shape [V, 55]."""
+    """Dense skin weights, shape [V, 55]."""
     faces: NDArray[np.int32]
 
 
 def joint_weight(mesh: Cloth, names: tuple[str, ...]) -> Array:
-    """Sum of the skin weights of some joints per vertex [V]."""
+    """Return sum of the skin weights of some joints per vertex [V]."""
     return mesh.weights[:, [JOINT_INDEX[n] for n in names]].sum(axis=1)
 
 
 def arm_joints(side: str) -> tuple[str, ...]:
-    """Names of the joints of one arm, fingers included."""
+    """Return names of the joints of one arm, fingers included."""
     fingers = tuple(f"{side}_{finger}{k}" for finger in FINGERS for k in (1, 2, 3))
     return (f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist", *fingers)
 
@@ -66,7 +66,7 @@ class Measures:
         return joint_weight(mesh, ("left_eye_smplhf", "right_eye_smplhf")) > 0.9
 
     def arms(self, mesh: Cloth) -> Array:
-        """Returns how much of a vertex belongs to the arms, 0..1."""
+        """Return the share of each vertex that belongs to the arms, 0 to 1, shape [V]."""
         return joint_weight(mesh, arm_joints("left")) + joint_weight(mesh, arm_joints("right"))
 
     def beyond(self, mesh: Cloth, start: str, end: str, share: float) -> Array:

@@ -36,7 +36,7 @@ SHOES: dict[str, Shoe] = {
 
 
 def shoes(ground: Ground, spec: Shoe, *, fine: bool) -> list[tuple[Draft, str]]:
-    """Both shoes, each with the part of the base that it lies on."""
+    """Return both shoes, each with the part of the base that it lies on."""
     return [(_shoe(ground, spec, side, fine=fine), f"{side} last") for side in ("left", "right")]
 
 

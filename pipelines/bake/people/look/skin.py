@@ -52,7 +52,7 @@ HAIRLINES = {
 
 
 def full_sheet(base: Base) -> Sheet:
-    """All skin, finer where one looks at a face."""
+    """Return all skin, finer where one looks at a face."""
     m = base.measures
 
     def face(mesh: Cloth) -> NDArray[np.bool_]:
@@ -64,7 +64,7 @@ def full_sheet(base: Base) -> Sheet:
 
 
 def light_sheet(base: Base) -> Sheet:
-    """The skin by `LIGHT_FACES` triangles, more of them where one looks: the eyes stay whole."""
+    """Return the skin by `LIGHT_FACES` triangles, more of them where one looks: the eyes stay whole."""
     import fast_simplification  # pyright: ignore[reportMissingImports]
 
     body = sheet(base.pattern, base.part("skin"))
@@ -113,7 +113,7 @@ def _swollen(body: Cloth) -> Array:
 
 
 def skin_draft(ground: Ground, s: Sheet) -> Draft:
-    """Skin with its eyes and its paint."""
+    """Return skin with its eyes and its paint."""
     m = ground.base.measures
 
     def disc(radius: float):
@@ -167,7 +167,7 @@ def beard(m: Measures, mesh: Cloth) -> Array:
 
 
 def painted(m: Measures, s: Sheet, masks: dict[str, Array]) -> dict[str, Array]:
-    """Returns how much of each paint a vertex has, 0..1."""
+    """Return how much of each paint a vertex has, 0..1."""
     x, y, z = s.vertices.T
     side, up, forward = np.abs(x), y - m.eye[1], z - m.eye[2]
     front = smoothstep(-0.045, -0.015, forward) * (y > m.neck_joint[1])

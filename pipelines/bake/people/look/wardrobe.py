@@ -22,14 +22,14 @@ from h3data.geometry import Array
 log = logging.getLogger(__name__)
 
 MARGIN_M = {"full": 0.028, "lod": 0.045}
-"""Skin further inside a garment than this is not drawn."""
+"""Distance inside a garment beyond which skin is not rendered [m], by level of detail."""
 SCALP_MARGIN_M = 0.010
-"""Likewise for the light scalp further inside the hairline."""
+"""Distance inside the hairline beyond which the scalp of light meshes is not rendered [m]."""
 Arrays = dict[str, NDArray[Any]]
 
 
 def wardrobe_arrays(base: Base) -> Arrays:
-    """The arrays of the file, over a base."""
+    """Return the arrays of the file, over a base."""
     ground = Ground(base)
     ruler = Skull(ground).ruler
     out: Arrays = {"format": np.array(WARDROBE_FORMAT)}

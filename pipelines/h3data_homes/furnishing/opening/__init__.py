@@ -1,1 +1,1 @@
-"""Furniture that opens: its records, its placement, and the pieces."""
+"""Furniture with doors and drawers that open: its records, placement and models."""

@@ -1,7 +1,7 @@
-"""Pieces of furniture that open: hollow bodies with shelves inside, and doors and drawers with joints.
+"""Models of furniture that opens: hollow bodies with shelves inside, and doors and drawers with joints.
 
-Everything is given in the frame of the piece (`h3data_homes.furnishing.furniture`), closed: it looks like the piece that
-it stands for, and takes the same floor.
+All coordinates are in the frame of the closed piece (`h3data_homes.furnishing.furniture`). It looks like the piece that
+it replaces, and has the same footprint.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from h3data_homes.furnishing.opening.placing import MovingPart, Opening
 from h3data_homes.solids import Color, MeshBuilder, shade
 
 BOARD_M = 0.018
-"""Thickness of sides, shelves and fronts."""
+"""Thickness of side panels, shelves and fronts [m]."""
 SWING_RAD = np.pi / 2
-"""Angle by which doors open: hinged at their outer edge they stay within their own width, so that they do not hit their
-neighbours."""
+"""Angle by which doors open [rad]. Doors hinged at their outer edge then stay within their own width, so that they do
+not hit their neighbours."""
 PULL_SHARE = 0.8
-"""Share of its depth by which a drawer opens."""
+"""Distance by which a drawer opens, as a share of its depth."""
 INSIDE: Color = (232, 230, 226)
 """Colour of inner walls of fridges and dishwashers."""
 _X, _Y, _Z = (np.eye(3)[k] for k in range(3))
@@ -213,7 +213,7 @@ def opening_counter(
     top: Receptacle,
     looks: MeshBuilder | None = None,
 ) -> Opening:
-    """Return a base cabinet: ``drawers``, ``doors``, ``sink`` or ``dishwasher``.
+    """Return a base cabinet that opens.
 
     Args:
         size: Width, height of the upper side and depth of the worktop [m].
@@ -221,9 +221,9 @@ def opening_counter(
         colors: Colours of the fronts.
         metal: Colour of the handles.
         worktop: Colour of the worktop.
-        kind: Kind of cabinet.
-        top: The surface of the worktop.
-        looks: The worktop of a sink, with basin and tap; else it is a board.
+        kind: Kind of cabinet: ``drawers``, ``doors``, ``sink`` or ``dishwasher``.
+        top: Receptacle on the worktop.
+        looks: Mesh of a sink's worktop with basin and tap; None for a plain board.
     """
     width, height, depth = size
     half, back = width / 2, -depth / 2
@@ -312,7 +312,7 @@ def _rack(x: Span, y: Span, z: Span) -> MovingPart:
 def opening_cabinet(
     width: float, depth: float, y: Span, colors: Sequence[Color], metal: Color, front: Color, looks: MeshBuilder
 ) -> Opening:
-    """Return a wall cabinet with doors and two boards inside; ``looks`` are meshes attached to it: the tiles below."""
+    """Return a wall cabinet with doors and two shelves inside; ``looks`` are attached meshes, such as tiles below it."""
     frame, half = _Body(looks), width / 2
     x, z, count = (-half, half), (-depth / 2, depth / 2 - 0.02), len(colors)
     frame.shell(x, y, z, shade(front, 0.92), shade(front, 0.95))

@@ -1,4 +1,4 @@
-"""Records of furniture that opens, and its place in a scene."""
+"""Records of furniture that opens, and its placement in a scene."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from h3data_homes.solids import MeshBuilder
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MovingPart:
-    """A door or a drawer, in the frame of its piece, closed."""
+    """Door or drawer of a piece of furniture, in the frame of the closed piece."""
 
     name: str
     builder: MeshBuilder
@@ -25,26 +25,26 @@ class MovingPart:
     """Position of the handle, shape [3] [m]."""
     receptacles: tuple[Receptacle, ...] = ()
     behind: tuple[str, ...] = ()
-    """Other receptacles of the piece that the part shuts off (those of a part as ``part/receptacle``); it always shuts
-    off its own."""
+    """Other receptacles of the piece that the closed part blocks, in addition to its own; those of another part are
+    ``part/receptacle``."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Opening:
-    """A piece of furniture that opens."""
+    """Piece of furniture that opens, with its body and moving parts."""
 
     kind: str
-    """Kind from which the name of the instance is made."""
+    """Kind of the piece, from which the instance's name is made."""
     category: str
     builder: MeshBuilder
-    """Builder of the body, which stands still."""
+    """Builder of the mesh of the body, which does not move."""
     shapes: tuple[Shape, ...]
     receptacles: tuple[Receptacle, ...]
     parts: tuple[MovingPart, ...]
 
 
 def opening_assets(opening: Opening, model: str) -> dict[str, Asset]:
-    """Return assets of a piece: its body, called ``model``, and its parts."""
+    """Return the assets of a piece that opens: its body, called ``model``, and its moving parts."""
     body = Asset(
         name=model,
         mesh=opening.builder.mesh(),
@@ -66,7 +66,7 @@ def opening_assets(opening: Opening, model: str) -> dict[str, Asset]:
 
 
 def placed_opening(opening: Opening, body: Instance) -> tuple[list[Instance], Articulation]:
-    """Return the instances of the parts of a piece whose body is placed, and the joints between them."""
+    """Return instances and joints of the moving parts of a piece whose body has been placed."""
     instances = [
         replace(body, name=f"{body.name}/{part.name}", asset=f"{body.asset}/{part.name}") for part in opening.parts
     ]
@@ -97,7 +97,7 @@ def carrying(
     assets: Mapping[str, Asset],
     objects: Sequence[Instance],
 ) -> tuple[Articulation, ...]:
-    """Return the articulated things with the objects that lie in their moving parts."""
+    """Return the articulated objects, with the objects that lie in their moving parts attached to these."""
     by_name = {i.name: i for i in instances}
     lowest = [[0.0, float(assets[o.asset].mesh.bounds[0, 1]), 0.0] for o in objects]
     feet = (np.array([o.pose[:3] for o in objects]) + lowest).reshape(-1, 3)
