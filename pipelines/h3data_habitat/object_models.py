@@ -1,4 +1,4 @@
-"""Models of objects from folders of the YCB set and from Habitat's object configs."""
+"""Models of objects with mass and grasps, from folders of the YCB set and from Habitat's object configs."""
 
 from __future__ import annotations
 

@@ -210,7 +210,11 @@ def clustered(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
 
 
 def truth_of(p: Proposition, rows: Rows) -> tuple[Flags, Flags]:
-    """Return rows in which a proposition is true [T], and the pairs (`pairs_of`) or cluster members behind it."""
+    """Return rows in which a proposition is true [T], and the pairs (`pairs_of`) or cluster members behind it.
+
+    Raises:
+        InputError: a name in the proposition does not exist in the home.
+    """
     if p.function_name == "is_clustered":
         return clustered(p, rows)
     pairs = pairs_of(p, rows)

@@ -105,7 +105,11 @@ class Benchmark:
         return [known[name] for name in self.file.metrics]
 
     def episode_uids(self) -> list[str]:
-        """Return the identity (`episode_uid`) of each episode, in order."""
+        """Return the identity (`episode_uid`) of each episode, in order.
+
+        Raises:
+            FormatError: the list of episodes is missing or malformed.
+        """
         path = self.folder / EPISODES
         try:
             listed = json.loads(path.read_text(encoding="utf-8"))["episodes"]

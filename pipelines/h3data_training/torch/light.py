@@ -84,7 +84,13 @@ class AgentLight:
         self._corners = on_device(np.array(list(np.ndindex(2, 2, 2))), torch.int64)
 
     def cast(self, links: Tensor, joints: Tensor, place: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the rows of all capsules [W, N, 21] and the tints of all instances [W, I, 4], as in `Blockers`."""
+        """Return the rows of all capsules [W, N, 21] and the tints of all instances [W, I, 4], as in `Blockers`.
+
+        Args:
+            links: World matrices of the links of the robot that have a mesh, [W, L, 3, 4].
+            joints: World matrices of the joints of the person, [W, 55, 3, 4].
+            place: Number of the home of each world, [W].
+        """
         frames = torch.cat([links[:, self._links], joints[:, self._joints]], 1)
         # no matrix products, which a GPU might compute with 10 bits
         ends = (frames[:, :, None, :, :3] * self._ends[..., None, :]).sum(-1) + frames[:, :, None, :, 3]
