@@ -1,7 +1,4 @@
-"""Conversion between sRGB and linear light (IEC 61966-2-1).
-
-Colours are stored as sRGB; arithmetic uses linear light.
-"""
+"""Conversion between sRGB and linear light (IEC 61966-2-1). Colours are stored as sRGB; arithmetic uses linear light."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Parts of kernels that only borrow arrays, for which numba's reference counting is turned off.
+"""Parts of kernels that only borrow arrays, to which numba counts no references.
 
-Reference counting is atomic, and takes most of the time of functions that read arrays from tuples and rows from arrays.
+Counting is atomic. It takes most of the time of functions that take arrays out of tuples and rows out of arrays.
 """
 
 from __future__ import annotations
@@ -74,5 +74,5 @@ class BorrowingCompiler(PartCompiler):
 
 @functools.cache
 def borrowing_type(dispatcher_type: type) -> type:
-    """Return the dispatcher class of parts that borrow arrays; its name is part of their code digest."""
+    """Return the class of parts that borrow: its name is in the digest of their code (`h3data.kernels.digests`)."""
     return type("BorrowingPart", (part_type(dispatcher_type),), {})
