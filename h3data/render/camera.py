@@ -20,7 +20,7 @@ Convention = Literal["opencv", "opengl", "habitat"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Camera:
-    """Intrinsics, size and pose of one view."""
+    """Camera with intrinsics, image size and pose."""
 
     name: str = "camera"
     width: int
@@ -46,15 +46,15 @@ class Camera:
         return replace(self, pose=np.asarray(pose, np.float64))
 
     def resized(self, width: int, height: int, *, crop: bool = True) -> Camera:
-        """Return the same camera with pictures of another size [px].
+        """Return the same camera with another image size [px].
 
         Its axis does not change, and square pixels stay square; an equirectangular camera keeps both fields of view.
 
         Args:
-            width: new width.
-            height: new height.
-            crop: whether to keep the horizontal field of view even where a flatter picture loses its top and bottom; otherwise
-                everything in view stays in view, and a narrow picture sees more at its sides instead.
+            width: new width of the image [px].
+            height: new height of the image [px].
+            crop: True to keep the horizontal field of view, so that a flatter image loses its top and bottom. Otherwise
+                the new image contains everything in view, and may have a larger field of view.
         """
         across, down = width / self.width, height / self.height
         # a panorama spans all angles in both directions, so its two scales are those of its sides
@@ -126,7 +126,10 @@ class Camera:
         return self.to_pixels(p), p[:, 2] if self.is_planar else np.linalg.norm(p, axis=1)
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the pixel coordinates [N, 2] of points [N, 3] in the camera's frame; see `project`."""
+        """Return the pixel coordinates [N, 2] of points [N, 3] in the camera's frame.
+
+        `project` does the same for world points.
+        """
         x, y, z = points.T
         if self.projection == "perspective":
             # dividing by a negative z would mirror points behind the eye into the picture
@@ -183,7 +186,7 @@ def pinhole(
     near: float = 0.0,
     far: float = float("inf"),
 ) -> Camera:
-    """Return a perspective camera with square pixels and centred principal point, like Habitat's sensors (spec/habitat.md 1.5).
+    """Return a perspective camera with square pixels and centred principal point, like Habitat's sensors.
 
     ``width`` x ``height`` are in pixels; ``hfov_deg`` spans the width.
     """
@@ -244,7 +247,10 @@ def equirectangular(
     pose: ArrayLike | None = None,
     hidden_layers: tuple[str, ...] = (),
 ) -> Camera:
-    """Return a panorama: 360 degrees of longitude across, 180 of latitude down; ``height`` defaults to half the width."""
+    """Return a camera for panoramas of 360 degrees across and 180 degrees down.
+
+    ``height`` defaults to half the width.
+    """
     height = height or width // 2
     fx, fy = width / (2 * np.pi), height / np.pi
     return _centred(width, height, fx, fy, "equirectangular", name, pose, hidden_layers)

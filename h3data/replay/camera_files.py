@@ -42,49 +42,50 @@ class Key(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
 
 class Orbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A circle around the target, counter-clockwise seen from above."""
+    """Circular path of a camera around the target, counter-clockwise seen from above."""
 
     radius_m: float = 3.0
     height_m: float = 1.5
-    """Height of the eye above the target."""
+    """Height of the eye above the target [m]."""
     period_s: float = 12.0
     start_deg: float = 0.0
     """Heading of the eye, seen from the target, at the start."""
 
 
 class CameraFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A camera: its lens, and its pose as ``eye`` and ``target``, ``pose``, ``keys`` or ``orbit``, in the world or a body."""
+    """Description of a camera: its lens, and its pose as ``eye`` and ``target``, ``pose``, ``keys`` or ``orbit``."""
 
     name: str = ""
     width: int = 640
     height: int = 480
     projection: Projection = "perspective"
     hfov_deg: float | None = None
-    """Horizontal field of view; default 70 for perspective, 180 for fisheye cameras."""
+    """Horizontal field of view [deg]; default 70 for perspective, 180 for fisheye cameras."""
     intrinsics: tuple[float, float, float, float] | None = None
     """Camera matrix as fx fy cx cy [px], instead of hfov_deg."""
     width_m: float | None = None
-    """Width of an orthographic image."""
+    """Width of an orthographic image [m]."""
     near: float = 0.0
     far: float = float("inf")
     hidden_layers: tuple[str, ...] = ()
     eye: Point | None = None
     target: Point | None = None
     pose: list[float | list[float]] | None = None
-    """Pose as x y z qx qy qz qw, or a 4x4 matrix: camera to world (or to the body it is mounted on), in ``convention``."""
+    """Pose as x y z qx qy qz qw, or a 4x4 matrix: camera to world (or to the body on which it is mounted), in
+    ``convention``."""
     convention: Convention = "opencv"
     keys: tuple[Key, ...] = ()
     orbit: Orbit | None = None
     follow: str = ""
     """Name of an agent with whose root frame (x forward, y up, z right) the camera moves and turns."""
     turns: bool = True
-    """True if the camera turns with the agent; false if it moves with it but keeps its direction."""
+    """True if the camera turns with the agent; False if it moves with the agent in a constant direction."""
     smooth_s: float = 0.0
-    """Time over which the motion of the agent is smoothed."""
+    """Time over which the motion of the agent is smoothed [s]."""
     link: str = ""
-    """Link of a robot, or joint of a person, named by ``follow``, that the camera is mounted on."""
+    """Link of a robot, or joint of a person, named by ``follow``, on which the camera is mounted."""
     body: str = ""
-    """Name of a recorded body that the camera is mounted on."""
+    """Name of a recorded body on which the camera is mounted."""
 
 
 def load_camera_file(path: Path) -> CameraFile:
@@ -119,7 +120,7 @@ def track_of_file(replay: Replay, path: Path) -> CameraTrack:
     """Return the camera described in a file, with its pose at every step of a recording.
 
     Raises:
-        InputError: the file is not a camera, or the recording lacks what it is mounted on.
+        InputError: the file is not a camera, or the recording lacks the agent or body on which it is mounted.
     """
     spec = load_camera_file(path)
     try:
@@ -215,7 +216,7 @@ def orbit_poses(times_s: Array, target: Point, orbit: Orbit) -> NDArray[np.float
 def smooth_path(key_times: Array, points: Array, times: Array) -> NDArray[np.float64]:
     """Return positions [T, 3] at ``times`` on a smooth curve through points [K, 3] at key times [K].
 
-    They are constant before the first and after the last key time.
+    The positions are constant before the first and after the last key time.
     """
     if len(points) < 3:
         return np.stack([np.interp(times, key_times, points[:, k]) for k in range(3)], axis=1)
@@ -284,7 +285,7 @@ def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:
 
 
 def body_frames(replay: Replay, name: str) -> NDArray[np.float64]:
-    """Return the world frames [T, 4, 4] of a drawable by name, without its scale."""
+    """Return the world frames [T, 4, 4] of a drawable with a name, without its scale."""
     names = [drawable.name for drawable in replay.drawables]
     if name not in names:
         similar = [n for n in names if name.lower() in n.lower()][:8] or names[:8]

@@ -1,4 +1,4 @@
-"""Renderer of thousands of worlds on one GPU; poses, skins and cameras in, images out, all torch tensors on the device."""
+"""Renderer of thousands of worlds on one GPU, with torch tensors on the device as inputs and outputs."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ _MAX_PIXELS = 2**31 - 1
 
 
 class GpuRenderer:
-    """Renderer of the same images as `h3data.render.Renderer`, for many worlds at once.
+    """Renderer of many worlds at once, whose images equal those of `h3data.render.Renderer`.
 
-    A world is a scene with its own poses, deformed vertices and camera. Everything runs on torch's current stream; nothing
-    waits for the GPU or returns to the host unless asked to, so a step can be captured as a graph (`captured`). A new
-    renderer shows the scenes as they were built.
+    A world is a scene with its own poses, deformed vertices and camera. Everything runs on torch's current stream. No
+    call waits for the GPU or copies results to the host unless asked to, so that a step can be captured as a graph
+    (`captured`). A new renderer shows the scenes as they were built.
     """
 
     def __init__(
@@ -56,12 +56,12 @@ class GpuRenderer:
         """Copy scenes to the GPU and compile the kernels.
 
         Args:
-            scenes: one scene or several.
+            scenes: one scene, or a sequence of scenes.
             width: width of the images [px].
             height: height of the images [px].
             worlds: number of worlds.
             scene_of_world: index of each world's scene; by default world w shows scene w modulo their number.
-            light: light; default `Light()`. Cast shadows are not supported.
+            light: light of all scenes; default `Light()`. Cast shadows are not supported.
             device: CUDA device; default the current one.
 
         Raises:
@@ -179,7 +179,7 @@ class GpuRenderer:
 
     @property
     def nbytes(self) -> int:
-        """Size of scenes and worlds on the device, without images [bytes]."""
+        """Size of the scenes and worlds on the device, without images [bytes]."""
         state = [self._poses, self._palettes, self._sources]
         tensors = [*self._tensors.values(), *self._held.values(), *state]
         return sum(t.numel() * t.element_size() for t in tensors)
@@ -188,8 +188,8 @@ class GpuRenderer:
     def update_poses(self, poses: Any) -> None:
         """Set the poses of moving instances, [worlds, N, 4, 4] or [worlds, N, 3, 4], mesh to world.
 
-        They are in the order of `GpuScene.slots`. If N is less than their number, the others keep their poses. NaN
-        hides an instance.
+        The poses are in the order of `GpuScene.slots`. If there are more slots than N, the remaining instances keep
+        their poses. NaN hides an instance.
         """
         given = self._floats(poses, "poses", 4)
         count = given.shape[1]
@@ -201,7 +201,7 @@ class GpuRenderer:
         self._poses[:, :count].unflatten(2, (3, 4)).copy_(given[:, :, :3])
 
     def update_joints(self, joints: Any) -> None:
-        """Deform all skinned meshes by their joints.
+        """Deform all skinned meshes according to the poses of their joints.
 
         ``joints`` [worlds, bodies, J, 4, 4] (or [..., 3, 4]) map joint to world, for the scene's deformable meshes in
         order; the second axis may be omitted for a single body. NaN hides a body.
@@ -219,8 +219,8 @@ class GpuRenderer:
     def update_vertices(self, mesh: int, vertices: Any) -> None:
         """Replace the vertices [worlds, V, 3] [m] of a deformable mesh without skin.
 
-        It applies to all worlds whose scene has such a mesh with V vertices; there must be at least one. NaN hides the
-        triangles at a vertex.
+        The vertices are in the frame of the mesh. They apply to all worlds whose scene has such a mesh with V vertices,
+        of which there must be at least one. NaN hides the triangles at a vertex.
         """
         given = self._floats(vertices, "vertices", 3)
         where = [
@@ -244,16 +244,16 @@ class GpuRenderer:
         self._run_deform()
 
     def update_blockers(self, blockers: Sequence[Blockers | None]) -> None:
-        """Set the capsules that block light from surfaces (`Renderer.set_blockers`), one set for each world, from the host."""
+        """Set the capsules that block light (`Renderer.set_blockers`) from the host, one set for each world."""
         if len(blockers) != self.worlds:
             raise InputError(f"Expected blockers for {self.worlds} worlds, got {len(blockers)}.", code="H3-RENDER-030")
         self._shader.set_blockers(blockers)
 
     def update_shadows(self, rows: torch.Tensor, tints: torch.Tensor) -> None:
-        """Set what `update_blockers` sets from tensors on the device, which are not copied.
+        """Set the capsules that block light from surfaces from tensors on the device, which are not copied.
 
         Args:
-            rows: `Blockers.rows` of all worlds, as many in each, float32 [worlds, N, 21].
+            rows: `Blockers.rows` of all worlds, the same number in each, float32 [worlds, N, 21].
             tints: `Blockers.tints` of all worlds, float32 [worlds, I, 4]; I is the greatest number of instances of a scene.
         """
         import torch
@@ -299,13 +299,13 @@ class GpuRenderer:
         samples: Literal[1, 4] = 1,
         poses: Any = None,
     ) -> dict[str, torch.Tensor]:
-        """Return images by output, each [views, H, W, ...] on the device; outputs are those of `Renderer.render`.
+        """Return images by the name of their output (as in `Renderer.render`), each [views, H, W, ...] on the device.
 
         Args:
             cameras: Perspective cameras of this renderer's size: one for all views, or one per view.
             worlds: World of each view; by default one view of every world.
             outputs: ``depth``, ``instance``, ``semantic``, ``triangle``, ``rgb``, ``normal``.
-            samples: 4 smooths the edges of ``rgb`` at about four times the cost.
+            samples: Samples per pixel; 4 smooths the edges of ``rgb`` at about four times the cost of 1.
             poses: Camera poses (OpenCV to world) [views, 4, 4] that replace those of ``cameras``; rotations are not
                 checked. NaN gives an empty image.
         """
@@ -429,11 +429,11 @@ class GpuRenderer:
         return self._programs[self.variant]
 
     def captured(self, step: Callable[[], dict[str, torch.Tensor]]) -> Callable[[], dict[str, torch.Tensor]]:
-        """Capture ``step`` as a CUDA graph: the returned function reads and writes the same tensors with hardly any Python.
+        """Return ``step`` captured as a CUDA graph, which reads and writes the same tensors with little work in Python.
 
         ``step`` may call `update_poses`, `update_joints`, `update_vertices` and `render` (with ``poses``) on tensors that
-        are on the device already. Each call overwrites the tensors that it returns. Worthwhile for few worlds, where
-        launches dominate.
+        are on the device already. Each call overwrites the tensors that it returns. A graph is worthwhile for few
+        worlds, where the launches of kernels take most of the time.
         """
         import torch
 

@@ -1,4 +1,4 @@
-"""The CPU back end: the rasteriser with its shading, over any number of worlds and threads."""
+"""Back end for the CPU: the rasteriser with its shading, for any number of worlds and threads."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from h3data.render.shade.shading import KeptPicture, Light, shade
 
 
 class CpuEngine:
-    """Renders perspective and orthographic cameras, one image per thread; pixels do not depend on the number of threads.
+    """Renderer of perspective and orthographic cameras on the CPU, with one image per thread.
 
-    Where a camera is where it was in an earlier image, only what has changed since is drawn and shaded again, with the
-    same pixels as a result.
+    Pixels do not depend on the number of threads. If a camera has not moved since an earlier image, only the changed
+    parts are rendered again, with the same pixels as a result.
     """
 
     def __init__(self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1) -> None:
@@ -208,7 +208,7 @@ class CpuEngine:
 
 
 class World:
-    """The state of one world: transforms, visibility, deformed vertices and their normals."""
+    """State of one world: transforms, visibility, deformed vertices and their normals."""
 
     def __init__(self, scene: RenderScene) -> None:
         self.scene = scene
@@ -242,7 +242,7 @@ class World:
         return self.visible & ~np.isin(self.scene.layers, hidden_layers)
 
     def state(self, shown: NDArray[np.bool_]) -> Shown:
-        """Return the current state that determines a picture with these visible instances [I]."""
+        """Return the current state from which an image with these visible instances [I] follows."""
         tints = np.ones((len(shown), 4), np.float32) if self.blockers is None else self.blockers.tints.copy()
         return Shown(self.matrix.copy(), shown.copy(), dict(self.vertices), tints)
 
@@ -260,7 +260,7 @@ class World:
         self.version += 1
 
     def set_vertices(self, mesh: int, vertices: NDArray[np.float32]) -> None:
-        """Replace the vertices [V, 3] of a deformable mesh, and keep the array."""
+        """Replace the vertices [V, 3] [m] of a deformable mesh; the array is stored without a copy."""
         scene, geometry = self.scene, self.geometry
         self.vertices[mesh] = vertices
         self.version += 1
@@ -288,7 +288,7 @@ class World:
         self._stale_normals.clear()
 
     def poses(self) -> Poses:
-        """Return a copy of the state."""
+        """Return a copy of the transforms, vertices and visibility."""
         # copies, since the world goes on while somebody looks at them
         return Poses(self.matrix.copy(), dict(self.vertices), self.visible.copy())
 

@@ -1,4 +1,4 @@
-"""Foxglove's standard messages as this package fills them (needs the extra ``h3data[foxglove]``)."""
+"""Functions that build Foxglove's standard messages (needs the extra ``h3data[foxglove]``)."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _TAG_M = 0.18
 
 
 def stamp(time_ns: int) -> Timestamp:
-    """Return a time as seconds and nanoseconds since 1970."""
+    """Return a time [ns] as seconds and nanoseconds since 1970."""
     return Timestamp(seconds=time_ns // 1_000_000_000, nanos=time_ns % 1_000_000_000)
 
 
 def transforms(time_ns: int, frames: Sequence[tuple[str, str, Array]]) -> FrameTransforms:
-    """Build the message of frames, given as ``(parent, child, pose7 of the child in its parent)``."""
+    """Return the message with frames, each given as ``(parent, child, pose7 of the child in its parent)``."""
     at = stamp(time_ns)
     return FrameTransforms(
         transforms=[
@@ -58,7 +58,7 @@ def transforms(time_ns: int, frames: Sequence[tuple[str, str, Array]]) -> FrameT
 
 
 def model(glb: bytes, pose: Array, scale: Array) -> ModelPrimitive:
-    """Return a GLB whose scaled frame has a pose7 in the frame of its entity."""
+    """Return a GLB model with a pose7 and a scale in the frame of its entity."""
     across, up, along = scale
     size = Vector3(x=across, y=along, z=up)  # axes after the viewer's turn
     return ModelPrimitive(pose=_pose(pose_multiply(pose, _TURN)), scale=size, data=glb, media_type="model/gltf-binary")
@@ -67,7 +67,7 @@ def model(glb: bytes, pose: Array, scale: Array) -> ModelPrimitive:
 def entity(
     time_ns: int, frame: str, name: str, *, models: Sequence[ModelPrimitive] = (), texts: Sequence[TextPrimitive] = ()
 ) -> SceneEntity:
-    """Return a thing that moves with a frame."""
+    """Return an entity of models that moves with a frame."""
     # locked, so that viewers move it with its frame after this message too
     return SceneEntity(timestamp=stamp(time_ns), frame_id=frame, id=name, frame_locked=True, models=models, texts=texts)
 
@@ -84,25 +84,25 @@ def scene_update(entities: Sequence[SceneEntity]) -> SceneUpdate:
 
 
 def scene_cleared(time_ns: int) -> SceneUpdate:
-    """Return a message that hides everything of the topic."""
+    """Return a message that removes all entities of the topic."""
     return SceneUpdate(deletions=[SceneEntityDeletion(timestamp=stamp(time_ns), type=SceneEntityDeletion.ALL)])
 
 
 def pose_in_frame(time_ns: int, frame: str, pose: Array) -> PoseInFrame:
-    """Return a pose7 in a frame."""
+    """Return the message with a pose7 in a frame."""
     return PoseInFrame(timestamp=stamp(time_ns), frame_id=frame, pose=_pose(pose))
 
 
 def joint_states(time_ns: int, names: Sequence[str], positions: Sequence[float]) -> JointStates:
-    """Return the positions of a robot's joints [rad or m]."""
+    """Return the message with the positions of a robot's joints [rad or m]."""
     joints = [JointState(name=name, position=at) for name, at in zip(names, positions, strict=True)]
     return JointStates(timestamp=stamp(time_ns), joints=joints)
 
 
 def laser_scan(time_ns: int, frame: str, height_m: float, ranges: Array) -> LaserScan:
-    """Return distances of rays at equal angles in the plane ``height_m`` over an agent's root frame; infinite: no hit.
+    """Return the message with ranges [m] of rays at equal angles, ``height_m`` above an agent's root frame.
 
-    The plane's own frame has x forward, y left and z up.
+    A range is infinite if the ray has no hit. The frame of the scan has x forward, y left and z up.
     """
     # the last ray is one step before the first one again
     step = 2 * np.pi / max(len(ranges), 1)
@@ -119,9 +119,9 @@ def laser_scan(time_ns: int, frame: str, height_m: float, ranges: Array) -> Lase
 
 
 def point_cloud(time_ns: int, frame: str, height_m: float, points: Array) -> PointCloud:
-    """Return points [N, 3] of a scanner ``height_m`` over an agent's root frame, whose axes they have.
+    """Return the message with points [N, 3] [m] of a scanner ``height_m`` above an agent's root frame.
 
-    Points that are NaN are left out.
+    The points have the axes of the root frame. Points that are NaN are omitted.
     """
     known = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)], "<f4")
     return PointCloud(
@@ -135,7 +135,7 @@ def point_cloud(time_ns: int, frame: str, height_m: float, points: Array) -> Poi
 
 
 def log(time_ns: int, source: str, text: str, *, warning: bool = False) -> Log:
-    """Return a line for the log panel."""
+    """Return the message with a line for the log panel."""
     level = Log.Level.WARNING if warning else Log.Level.INFO
     return Log(timestamp=stamp(time_ns), level=level, name=source, message=text)
 
@@ -156,7 +156,7 @@ def calibration(time_ns: int, frame: str, camera: Camera) -> CameraCalibration:
 
 
 def video_frame(time_ns: int, frame: str, packet: bytes) -> CompressedVideo:
-    """Return the message of one picture of an H.264 stream."""
+    """Return the message with one picture of an H.264 stream."""
     return CompressedVideo(timestamp=stamp(time_ns), frame_id=frame, data=packet, format="h264")
 
 

@@ -1,6 +1,6 @@
-"""File ``<recording>.cameras.json``: the videos of a recording, their cameras, and the cameras' poses at every frame.
+"""Camera logs ``<recording>.cameras.json``, with the videos of a recording, their cameras, and camera poses by frame.
 
-The file is also what makes rendering resumable: an output that it lists, made of the same things, is not drawn again.
+The file also makes rendering resumable: a listed output that was made from the same inputs is not rendered again.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from h3data_pipelines.outputs import Target
 
 
 class CameraLog:
-    """File of one recording in one folder; it may be missing or from an earlier run."""
+    """Camera log of one recording in one folder, which may be missing or from an earlier run."""
 
     def __init__(
         self, folder: Path, stem: str, replay: Replay, steps: range, *, samples: int = 1, backend: str = "cpu"
@@ -53,13 +53,13 @@ class CameraLog:
         return hashlib.blake2b("\n".join(things).encode() + poses + nears, digest_size=16).hexdigest()
 
     def has(self, track: CameraTrack, target: Target) -> bool:
-        """Return whether the output exists, is complete and was made from the same inputs."""
+        """Return whether an output exists, is complete and was made from the same inputs."""
         outputs = self._cameras.get(track.camera.name, {}).get("outputs", {})
         entry = outputs.get(target.output, {}) if isinstance(outputs, Mapping) else {}
         return entry.get("made_of") == self.made_of(track, target) and target.path.exists()
 
     def forget(self, track: CameraTrack, targets: Sequence[Target]) -> None:
-        """Strike out outputs that are about to be replaced."""
+        """Remove outputs that are about to be replaced from the log."""
         outputs = self._cameras.get(track.camera.name, {}).get("outputs", {})
         stale = [target.output for target in targets if target.output in outputs]
         for output in stale:
@@ -68,7 +68,7 @@ class CameraLog:
             self._write()
 
     def add(self, track: CameraTrack, targets: Sequence[Target], *, fps: float) -> None:
-        """List complete outputs."""
+        """Add complete outputs to the log."""
         steps = list(self._steps)
         times = self._replay.recording.columns["time_ns"][steps]
         before = self._cameras.get(track.camera.name, {}).get("outputs", {})

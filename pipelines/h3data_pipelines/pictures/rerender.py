@@ -1,4 +1,4 @@
-"""Command ``h3data rerender``: videos and images of recordings from any camera."""
+"""Command ``h3data rerender``, which makes videos and images of recordings from any camera."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
-    """Pictures of recordings."""
+    """Result of rendering recordings, with paths of files and failures."""
 
     files: tuple[Path, ...]
     """Paths of videos, and of folders of images."""
@@ -83,13 +83,13 @@ def rerender(
     executor: str = "local",
     force: bool = False,
 ) -> Rendered:
-    """Render recordings from any number of cameras into the folder ``out``; options as of ``h3data rerender``.
+    """Render recordings from any number of cameras into the folder ``out``, with the options of ``h3data rerender``.
 
     Returns:
-        The video files and folders of images, and which recordings failed.
+        The video files and folders of images, and the recordings that failed.
 
     Raises:
-        InputError: an option is wrong, a file exists, or no recording can be rendered.
+        InputError: an option is invalid, a file exists, or no recording can be rendered.
     """
     if not isinstance(size, str):
         size = "x".join(map(str, size))
@@ -102,8 +102,8 @@ def rerender(
 class Rerender:
     """Render recordings from any number of cameras, as videos for the browser or as lossless data.
 
-    Complete files are kept: run the same command again to continue after an interruption. Next to the videos,
-    <recording>.cameras.json holds each camera's intrinsics K and its pose at every frame.
+    Complete files are not rendered again; run the same command again to continue after an interruption. Next to the
+    videos, <recording>.cameras.json holds each camera's intrinsics K and its pose at every frame.
 
     Examples:
         h3data rerender out/demo/episode.mcap --cameras top_down,robot_arm --outputs rgb,depth -o videos/
@@ -113,14 +113,17 @@ class Rerender:
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files, episodes of a dataset such as ds#0, whole datasets, and folders of these, which are walked."""
+    """.mcap files, episodes of a dataset such as ds#0, whole datasets, or folders of these, which are searched
+    recursively.
+    """
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for the results: <recording>.<camera>.<output>, a video file or a folder of images. Those of a folder keep their
-    place below it."""
+    """Folder for the results: <recording>.<camera>.<output>, a video file or a folder of images. Recordings of a folder
+    keep their relative paths.
+    """
     cameras: tuple[str, ...]
     """Camera names or .toml files (default: top_down). An unknown name prints the list of cameras."""
     outputs: tuple[OutputName, ...]
-    """Outputs of the pictures."""
+    """Outputs to render."""
     assets: tuple[Path, ...]
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     stand_ins: StandInsFlag
@@ -130,8 +133,9 @@ class Rerender:
     """mp4 (H.264) or av1: videos for viewing. png: images, depth as 16-bit millimetres, ids as 16-bit id + 1.
     data: H.264 for rgb, lossless 16-bit FFV1 for depth, PNG for ids."""
     size: str
-    """Size of the pictures such as 1280x720 (default: the camera's own). The horizontal field of view stays; top_down,
-    top_down_orthographic and orbit keep the whole picture in view."""
+    """Size of the pictures [pixels], such as 1280x720 (default: the camera's own). The horizontal field of view does
+    not change, but top_down, top_down_orthographic and orbit keep the whole picture in view.
+    """
     samples: Literal[1, 4] | None
     """Samples of colour per pixel: 4 smooths edges (default: 4 for mp4 and av1, 1 for png and data)."""
     people: PeopleOption
@@ -145,7 +149,7 @@ class Rerender:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        """Render all recordings, in several processes if asked to, and return the files."""
+        """Render all recordings, and return the files."""
         if self.size:
             parse_size(self.size)
         local(self.out)
@@ -279,14 +283,14 @@ class Rerender:
 
 @dataclass(frozen=True)
 class Shard:
-    """Recording to render."""
+    """Shard of a job, which is one recording to render."""
 
     path: Path
     stem: str
     counter: str
     """Counter for progress lines, such as ``[2/7] ``."""
     below: PurePath
-    """Folder of the results, relative to that of the command."""
+    """Folder of the results, relative to the output folder of the command."""
 
 
 RenderedShard = tuple[list[str], dict[str, Any]]
@@ -331,7 +335,7 @@ def _lost(shard: Shard, error: H3DataError) -> RenderedShard:
 
 
 class DiskFullError(InputError):
-    """Error about a disk that has no space left for the results."""
+    """Error of a job whose output disk is full."""
 
 
 @contextmanager
