@@ -126,8 +126,7 @@ def knuckles_m(replay: Replay, rows: NDArray[np.intp]) -> float:
     assert isinstance(body, Humanoid)
     assert scene is not None
     door = next(instance for instance in scene.instances if instance.name == DOOR)
-    owner = np.take_along_axis(body.lod.joints, body.lod.weights.argmax(1)[:, None], 1)[:, 0]
-    skin = body.skin(replay.joint_matrices(0, rows))[:, np.isin(owner, HAND)].astype(np.float64)
+    skin = body.skin(replay.joint_matrices(0, rows))[:, np.isin(body.lod.owners, HAND)].astype(np.float64)
     deepest = -np.inf
     for shape in scene.assets[door.asset].shapes:
         assert isinstance(shape, Box)

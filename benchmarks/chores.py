@@ -36,7 +36,7 @@ from h3data.replay import Replay
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Box, instance_matrix
 from h3data.scene.scene_file import scene_bytes
-from h3data_crowds.chores import CHORES, GRIP_BACK_M, TRAY_M, ChoreRoutine
+from h3data_crowds.chores import CHORES, FINGERS, GRIP_BACK_M, TRAY_M, ChoreRoutine
 from h3data_crowds.routines import Stop
 from h3data_pipelines.validation.penetration import penetrations
 from sim_kinematic.policies.crowd.people import CrowdPolicy
@@ -49,11 +49,7 @@ STOPS = (
     Stop("kitchen_counter_2", "put", 9.0),
     Stop("window_0", "phone", 8.0),
 )
-HANDS = [
-    k
-    for k, name in enumerate(JOINT_NAMES)
-    if any(part in name for part in ("wrist", "index", "middle", "pinky", "ring", "thumb"))
-]
+HANDS = [k for k, name in enumerate(JOINT_NAMES) if any(part in name for part in FINGERS)]
 TURNS = [
     k for k, name in enumerate(JOINT_NAMES[1:]) if not any(part in name for part in ("hip", "knee", "ankle", "foot"))
 ]
@@ -62,14 +58,14 @@ ANKLES = [JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]]
 
 
 def resident(task: object, episode: object, number: int) -> CrowdPolicy:
-    """Return policy of the person."""
+    """Return the policy of the person."""
     own, start = episode.roster[number].body, episode.starts[number, :2]  # pyright: ignore[reportAttributeAccessIssue]
     routine = ChoreRoutine(episode.scene, episode.free, STOPS, own, start=start)  # pyright: ignore[reportAttributeAccessIssue]
     return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def played(body: str) -> Recording:
-    """Return recording of a body that does all chores."""
+    """Return a recording of a body that does all chores."""
     agents = {"human": "benchmarks.chores:resident"}
     return h3data.simulate("wander", HOME, roster=[body], agents=agents, seed=SEED, max_steps=30 * SECONDS)
 
@@ -84,8 +80,7 @@ def figures_of(recording: Recording) -> dict[str, float]:
     palms = np.stack([hand_points(frames, body, hand) for hand in ("left", "right")], 1)
     out = {"handle_mm": 0.0, "grip_mm": 0.0, "slide_mm": 0.0, "door_mm": 0.0, "tray_mm": 0.0}
     joints, positions = joints_of(replay.scene), recording.columns[JOINTS].astype(np.float64)
-    owner = np.take_along_axis(body.lod.joints, body.lod.weights.argmax(1)[:, None], 1)[:, 0]
-    skin = body.skin(frames)[:, ~np.isin(owner, HANDS)].astype(np.float64)
+    skin = body.skin(frames)[:, ~np.isin(body.lod.owners, HANDS)].astype(np.float64)
     for k in np.flatnonzero(np.ptp(positions, axis=0) > 0).tolist():
         moves = np.flatnonzero(np.abs(np.diff(positions[:, k])) > 1e-4)
         motions = joints.motions(positions[moves])[:, k]

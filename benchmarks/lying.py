@@ -30,14 +30,13 @@ def figures_of(sitting: Sitting) -> dict[str, float]:
     quats, pelvis = (np.repeat(part, len(share), 0) for part in sitting.pose(1.0))
     take_seats(body, quats, pelvis, np.column_stack([np.full(len(share), sitting.seat_m), share]))
     skin = body.skin(body.joint_matrices(np.tile(IDENTITY_POSE, (len(share), 1)), quats, pelvis))
-    owner = np.take_along_axis(body.lod.joints, body.lod.weights.argmax(1)[:, None], 1)[:, 0]
     low = sitting.seat_m - skin[..., 1]
     # until the feet are over the surface they are before its edge
     depth = np.where((share >= TUCKED)[:, None], low, np.minimum(low, sitting.edge_m - skin[..., 0]))
-    parts = [np.isin(owner, [JOINT_INDEX[name] for name in names]) for names in LYING_PARTS]
+    parts = [np.isin(body.lod.owners, [JOINT_INDEX[name] for name in names]) for names in LYING_PARTS]
     turns = np.abs(np.sum(quats[1:] * quats[:-1], axis=-1))
     return {
-        "depth_m": float(depth[:, ~np.isin(owner, THIGHS)].max()),
+        "depth_m": float(depth[:, ~np.isin(body.lod.owners, THIGHS)].max()),
         "touches_m": max(abs(float(low[-1, part].max())) for part in parts),
         "joint_deg": float(np.degrees(2 * np.arccos(np.minimum(turns, 1))).max()),
     }

@@ -35,8 +35,7 @@ def figures_of(sitting: Sitting) -> dict[str, float]:
     joints = body.joint_matrices(np.tile(IDENTITY_POSE, (len(u), 1)), quats, pelvis)
     skin = body.skin(joints)
     depth = np.minimum(sitting.seat_m - skin[..., 1], sitting.edge_m - skin[..., 0])
-    owner = np.take_along_axis(body.lod.joints, body.lod.weights.argmax(1)[:, None], 1)[:, 0]
-    seated = np.isin(owner, HIPS) & (skin[-1, :, 0] < sitting.edge_m - 0.01)
+    seated = np.isin(body.lod.owners, HIPS) & (skin[-1, :, 0] < sitting.edge_m - 0.01)
     ankles = joints[:, ANKLES][..., :3, 3]
     turns = np.abs(np.sum(quats[1:] * quats[:-1], axis=-1))
     return {

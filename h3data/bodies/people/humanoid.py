@@ -70,6 +70,11 @@ class SkinnedMesh:
         assert mesh.normals is not None
         return build_skin(mesh.vertices, mesh.normals, self.joints, self.weights, len(JOINT_NAMES))
 
+    @cached_property
+    def owners(self) -> NDArray[np.uint8]:
+        """Index of the joint that moves each vertex most, shape [V]."""
+        return np.take_along_axis(self.joints, self.weights.argmax(1)[:, None], 1)[:, 0]
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyCapsule:

@@ -131,8 +131,8 @@ class Sitting:
     def lying(self) -> tuple[Array, Array]:
         """Poses at `TABLE` equal shares of the path from sitting (1) to lying (2), during which the agent root turns."""
         body, share = self.body, np.linspace(1, 2, TABLE)
-        owner = np.take_along_axis(body.lod.joints, body.lod.weights.argmax(1)[:, None], 1)[:, 0]
-        parts = [np.isin(owner, [JOINT_INDEX[name] for name in names]) for names in LYING_PARTS]
+        owners = body.lod.owners
+        parts = [np.isin(owners, [JOINT_INDEX[name] for name in names]) for names in LYING_PARTS]
         flat = LYING_DEG.copy()
         # parts of the body that touch a surface on which somebody lies, and the distances of all but the
         # first from the joint that lowers them, in body heights
@@ -158,7 +158,7 @@ class Sitting:
         # skin before the front edge need not be above the surface until the feet are over it, and skirts give way
         above = (skin[..., 0] < self.edge_m - 2 * PATH_SINK_M) | (share >= TUCKED)[:, None]
         hips_of_legs = [JOINT_INDEX[f"{side}_hip"] for side, _, _ in SIDES]
-        above &= ~np.isin(owner, hips_of_legs)
+        above &= ~np.isin(owners, hips_of_legs)
         pelvis[:, 1] += self.seat_m - SINK_M - np.where(above, skin[..., 1], np.inf).min(1)
         return quats, pelvis
 
@@ -247,7 +247,7 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
     knee_y = ankle[1] + np.sqrt(legs.shank**2 - knee_ahead_m**2)
     pelvis = np.array([0.0, seat_m + 0.1, 0.0])
     of_hips = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip")]
-    seat_skin = np.isin(body.lod.joints[np.arange(len(body.lod.joints)), body.lod.weights.argmax(1)], of_hips)
+    seat_skin = np.isin(body.lod.owners, of_hips)
     # contact sets the height of the hips, the legs then their place, which moves the skin: five rounds settle it
     for _ in range(5):
         drop = pelvis[1] + hips[1] - knee_y
