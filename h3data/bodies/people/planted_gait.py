@@ -214,7 +214,7 @@ class PlantedWalk:
         """
         from h3data.bodies.people.kernels.planted import plant_legs
 
-        _CALL(plant_legs, self.tables, self.state, quats, pelvis)
+        plant_legs(self.tables, self.state, quats, pelvis)  # arrays of the caller, so numba looks at their types
 
 
 def _place(base: ArrayLike) -> tuple[float, float, float]:
