@@ -57,13 +57,14 @@ def _capsules_of(body: Humanoid | Robot) -> tuple[Any, tuple[Any, ...], Array, E
     The first arguments are the links or joints [n] of the capsules, their ends [n, 2, 3] in the frames of these [m], and an
     array with a row for each link or joint.
     """
-    found: list[tuple[Any, ...]] = [
-        (one.joint, one.start, one.end, one.radius) for one in getattr(body, "capsules", ())
-    ]
-    kernel, rest = _pose_person, (getattr(body, "joint_offsets", None), PARENT_ARRAY)
+    found: list[tuple[Any, ...]]
+    rest: tuple[Any, ...]
     if isinstance(body, Robot):
         found = [(k, *bounding_capsule(shape)) for k, link in enumerate(body.links) for shape in link.shapes]
         kernel, rest = _pose_robot, (*body.joint_tree, np.ascontiguousarray(body.to_base, np.float64))
+    else:
+        found = [(one.joint, one.start, one.end, one.radius) for one in body.capsules]
+        kernel, rest = _pose_person, (body.joint_offsets, PARENT_ARRAY)
     of, ends = np.array([k for k, *_ in found], np.int64), np.array([[start, end] for _, start, end, _ in found])
     args = of, ends.astype(np.float64).reshape(-1, 2, 3), *rest
     return kernel, args, np.array([radius for *_, radius in found], np.float64), Entries()
