@@ -42,6 +42,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 import h3data
 from h3data.geometry import IDENTITY_POSE, Array
@@ -116,13 +117,13 @@ class Walks(NamedTuple):
     """Positions [T, P, 2] [m]."""
     velocity: Array
     """Velocities [T - 1, P, 2] [m/s]."""
-    touching: Array
+    touching: NDArray[np.bool_]
     """Mask of steps in which any agents touch, shape [T]."""
     room: Array
     """Distance of each person to walls and furniture, shape [T, P] [m]."""
     floor: Array
     """Area of the floor on which people can walk within `AROUND_M` of each person [T, P] [m2]."""
-    goes: Array
+    goes: NDArray[np.bool_]
     """Whether each person is on the way, rather than staying somewhere to do something [T, P]."""
 
     @classmethod
@@ -234,6 +235,11 @@ def run(
     emit: Emit, *, episodes: int = 2, models: Sequence[str] = (*MODELS, "wander"), places: Sequence[str] = ()
 ) -> None:
     """Measure models of crowds in ``episodes`` runs of each place; with ``places``, in these alone and without speeds."""
+    known = {*MODELS, "wander", "hall", "homes", *COMPANY}
+    if unknown := {*models, *places} - known:
+        raise SystemExit(
+            f"Expected models and places among {', '.join(sorted(known))}; got {', '.join(sorted(unknown))}."
+        )
     room = hall()
     floor = FreeSpace.from_scene(room)
     homes = [_home(name) for name in HOMES]
