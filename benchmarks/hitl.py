@@ -96,7 +96,7 @@ class Server:
         return sum(_cpu_s(number) for number in self.workers[:-1]), _cpu_s(self.process.pid)
 
     def reports(self) -> list[dict[str, Any]]:
-        """What it has said since it listens, once it has ended."""
+        """Return the messages that the server has written since it started to listen; wait until it has ended."""
         assert self.process.stdout is not None
         return [json.loads(line) for line in self.process.stdout]
 

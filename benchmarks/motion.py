@@ -1,4 +1,4 @@
-"""How people move, in one episode of each task in each home of ``h3-homes/test``, beside real walks.
+"""Measure the motion of people in one episode of each task in each home of ``h3-homes/test``, and compare it with real walks.
 
 Joints are those of a replay, as pictures show them; a step is 1/30 s. For each task:
 
@@ -158,7 +158,7 @@ def _reversals(speed: Array, least: float) -> int:
 
 
 def trot_slides(base: Array) -> Array:
-    """How far [m] each foot of ``quad_arm`` on the floor creeps in each step of a base track [T, 7]."""
+    """Return the distance [m] by which each standing foot of ``quad_arm`` slides in each step of a base track [T, 7]."""
     robot = load_robot(DEFAULT_ROBOT)
     links = [int(robot.joint_links[leg.columns[2]]) for leg in robot.legs]
 
@@ -199,7 +199,7 @@ def figures_of(found: dict[str, Array]) -> dict[str, float]:
 
 
 def motions(recording: Recording) -> Iterator[dict[str, Array]]:
-    """What each person of a recording does."""
+    """Yield the figures of the motion of each person of a recording (`motion_of`)."""
     replay = Replay(recording)
     for number, agent in enumerate(recording.agents):
         body = replay.model(number) if agent.kind == "human" else None

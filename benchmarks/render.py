@@ -359,7 +359,7 @@ def plants(count: int) -> list[RenderInstance]:
 
 
 def _speedup(scene: RenderScene) -> float:
-    """How much sooner two threads than one have drawn a batch of 32 pictures of 640x480: wall-clock time, best of five."""
+    """Return the wall-clock time of one thread divided by that of two, for 32 pictures of 640x480, best of five."""
     cameras, best = _views("640x480") * 4, []
     for threads in (1, 2):
         renderer, times = Renderer(scene, threads=threads), []

@@ -197,8 +197,11 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
 
 
 def _parity(emit: Emit, worlds: int = 4096, steps: int = 1000) -> None:
-    """How far apart CPU and GPU are in float64 [m]: the worst of single steps from the same states, and what is left of 1,000
-    steps on their own, where a tie at a wall may part two tracks for good."""
+    """Measure the distance between positions on the CPU and on the GPU in float64 [m].
+
+    One figure is the worst of single steps from the same states. The other is the distance after 1,000 steps that each device
+    makes by itself; two tracks that hit a corner of a wall equally far from both sides may part for good.
+    """
     import torch
 
     with torch.no_grad():

@@ -86,7 +86,7 @@ def skin_ratio_in_view() -> tuple[float, float]:
 
 
 def long_run_ratio(between: int) -> float:
-    """Return speed of 1,000 steps after ``between`` others over the speed of the same ones before them, robot and
+    """Return the speed of 1,000 steps after ``between`` others over the speed of the same ones before them, robot and
     person.
     """
     worlds = BenchmarkWorlds(Cell())

@@ -42,7 +42,7 @@ class FetchSpec(RearrangeSpec):
 
 
 def drawer_of(episode: Any) -> int:
-    """Return number of the drawer to open, among all that opens in the home; it follows from the seed.
+    """Return the number of the drawer to open, among all that opens in the home; it follows from the seed.
 
     Raises:
         SceneError: the home has no drawers.

@@ -51,7 +51,7 @@ SHOTS = (
 
 
 def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
-    """Return policy of a person who follows their routine."""
+    """Return the policy of a person who follows their routine."""
     own = episode.roster[number].body
     routine = Routine(episode.scene, episode.free, ROUTINES[number], own)
     return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)

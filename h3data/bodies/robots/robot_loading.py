@@ -145,7 +145,7 @@ def _loaded(files: RobotFiles, up: Literal["z", "y"], fill_in: bool, *versions: 
 
 
 def _version(path: Path | None) -> tuple[int, int]:
-    """Return time stamp [ns] and size of a file; zeros if there is none."""
+    """Return the time stamp [ns] and the size of a file; zeros if there is none."""
     # not a digest of the contents: robots are asked for at every reset
     if path is None or not path.is_file():
         return 0, 0

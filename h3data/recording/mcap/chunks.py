@@ -82,7 +82,7 @@ class CutRecording:
             yield inputs[self._inputs - 1]
 
     def skills(self, stop: int) -> Iterator[tuple[int, SkillSpan]]:
-        """Return number and span of each skill that started before step ``stop``, without those already returned complete.
+        """Return the number and span of each skill that started before step ``stop``, but for those returned complete before.
 
         A skill that has not ended is ``running`` up to step ``stop - 1``.
         """

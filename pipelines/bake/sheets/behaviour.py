@@ -85,7 +85,7 @@ class Motion:
 
 
 def room_of(places: Track, rooms: Sequence[Room]) -> NDArray[np.int64]:
-    """Return number of the room at each place [..., 2]; -1: none."""
+    """Return the number of the room at each place [..., 2]; -1: none."""
     found = np.full(places.shape[:-1], -1)
     x, z = places[..., 0], places[..., 1]
     for k, room in enumerate(rooms):

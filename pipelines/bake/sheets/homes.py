@@ -68,7 +68,7 @@ def kind_picture(kind: Kind, *, size_px: int = CELL_PX, look: Look = "mid_centur
 
 
 def mesh_picture(mesh: Mesh, *, size_px: int = CELL_PX) -> Picture:
-    """Return picture of a mesh on a plain background, uint8 [size_px, size_px, 3]."""
+    """Return a picture of a mesh on a plain background, uint8 [size_px, size_px, 3]."""
     low, high = mesh.bounds.astype(float)
     middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     eye = middle + 4.2 * radius * np.array([0.42, 0.42, 0.8])

@@ -132,7 +132,7 @@ def _unseen(m: Measures, body: Cloth, lips: Array) -> NDArray[np.bool_]:
 
 
 def neckline(m: Measures, mesh: Cloth, drop: float, tilt: float, curve: float) -> Array:
-    """Return height of vertices above a neckline [m].
+    """Return the height of vertices above a neckline [m].
 
     The neckline is a plane tilted forward through a point ``drop`` of the stature above the neck joint, bent up towards
     the shoulders by ``curve``.

@@ -38,7 +38,7 @@ class Cloth:
 
 
 def joint_weight(mesh: Cloth, names: tuple[str, ...]) -> Array:
-    """Return sum of the skin weights of some joints per vertex [V]."""
+    """Return the sum of the skin weights of some joints per vertex [V]."""
     return mesh.weights[:, [JOINT_INDEX[n] for n in names]].sum(axis=1)
 
 

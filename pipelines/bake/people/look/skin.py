@@ -113,7 +113,7 @@ def _swollen(body: Cloth) -> Array:
 
 
 def skin_draft(ground: Ground, s: Sheet) -> Draft:
-    """Return skin with its eyes and its paint."""
+    """Return the skin with its eyes and its paint."""
     m = ground.base.measures
 
     def disc(radius: float):
