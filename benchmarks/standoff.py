@@ -169,8 +169,7 @@ def stand_offs(
         recording: The episode; agent 0 is the robot.
         free: Its floor.
         errands: Of a robot that somebody drives, the number of their errand at each step, and the length of the path
-            that is
-            left of it [m], NaN where none leads there: they get on if it becomes shorter, as others do.
+            that is left of it [m], NaN where none leads there: they get on if it becomes shorter, as others do.
     """
     columns, steps = recording.columns, len(recording)
     near = columns["metrics.dist_agents"] <= WITHIN_M

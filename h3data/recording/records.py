@@ -19,11 +19,9 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
 ``agent_<i>.motion_arms`` float32 [T,2] how far the left and right arms are tucked in: 0 = as in the clip, 1 = close to
                                         the body; optional
 ``agent_<i>.motion_seat`` float32 [T,2] height of a seat above the floor [m] and share of the path from standing to
-sitting
-                                       (1) and lying (2), of people who may sit down; absent: they stand and walk
+                                        sitting (1) and lying (2), of people who may sit down; absent: they stand and walk
 ``agent_<i>.motion_hands`` float32 [T,4,4] where the hands are led and how far the trunk leans for it, of people who may
-do
-                                        chores (`h3data.bodies.people.gestures.lead_hands`); optional
+                                        do chores (`h3data.bodies.people.gestures.lead_hands`); optional
 ``agent_<i>.root_pose``   float32 [T,7] free-form humanoids only: pelvis in the world
 ``agent_<i>.joint_quat``  float32 [T,54,4] free-form humanoids only: local rotations without the pelvis, SMPL-X order
 ``agent_<i>.action``      float32 [T,A] low-level action that led to this row, named in ``Agent.action_names``

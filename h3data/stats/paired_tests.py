@@ -58,14 +58,14 @@ def compare_paired(
     """Compare one value per episode id of two runs.
 
     Methods (all two-sided) and their effect sizes:
-    ``permutation``: signs of the differences; exact over all 2^n patterns with up to 20 differences other than 0, else
-    10,000 seeded random patterns; Cohen's d_z = mean / std of the differences.
-    ``t``: Student's paired t test; d_z.
-    ``wilcoxon``: signed ranks, exact up to 20, with ties too; matched-pairs rank-biserial correlation (Kerby 2014),
-        zeros left
-    out.
-    ``mcnemar``: for 0/1 values, exact; odds ratio of the discordant pairs, (b + 1/2) / (c + 1/2).
-    ``auto``: ``mcnemar`` if all values are 0 or 1, else ``permutation``.
+
+    - ``permutation``: signs of the differences; exact over all 2^n patterns with up to 20 differences other than 0, else
+      10,000 seeded random patterns; Cohen's d_z = mean / std of the differences.
+    - ``t``: Student's paired t test; d_z.
+    - ``wilcoxon``: signed ranks, exact up to 20, with ties too; matched-pairs rank-biserial correlation (Kerby 2014),
+      zeros left out.
+    - ``mcnemar``: for 0/1 values, exact; odds ratio of the discordant pairs, (b + 1/2) / (c + 1/2).
+    - ``auto``: ``mcnemar`` if all values are 0 or 1, else ``permutation``.
 
     The ``notes`` of the result state limits of a test: of 0/1 values only the pairs that differ count, and n such pairs
     give no p value below 2 / 2^n.

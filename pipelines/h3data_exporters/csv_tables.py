@@ -38,8 +38,7 @@ def write_csv_tables(recording: Recording, folder: str | Path) -> list[Path]:
     """Write `FILES` into an existing folder and return their paths.
 
     - ``steps.csv``: a row per step; every column of the recording with at most 64 numbers, one CSV column each, named
-      by
-      joints and actions where these are known (``agent_0.joint_pos.<joint>``).
+      by joints and actions where these are known (``agent_0.joint_pos.<joint>``).
     - ``object_pose.csv``: a row per step and moving body that was there.
     - ``bodies.csv``, ``agents.csv``, ``skills.csv``, ``events.csv``, ``inputs.csv``: the records.
     - ``columns.npz``: every column exactly, under its own name; ``recording.json``: the episode and the names.

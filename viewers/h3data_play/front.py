@@ -115,8 +115,7 @@ class WebServer:
             seats_per_address: number of simultaneous seats for one network address.
             behind_proxy: whether the address is the one that a proxy names (``X-Forwarded-For``).
             hosts: names by which browsers may reach the server, besides loopback and addresses; ``*.example.org`` has
-                any first
-                label.
+                any first label.
             clock: clock in seconds by which long absences are measured.
         """
         self.plan, self.secure, self.report, self.clock = plan, secure, report, clock

@@ -215,8 +215,7 @@ class Dataset(DatasetFolder):
         """Return the steps of ``episodes`` (default: all) as one table of ``columns`` (default: all, including LeRobot's).
 
         Values have their stored form: a vector is a fixed-size list of the declared width, and narrower episodes are
-            padded. The
-        table is held in memory; for larger data use `iter_columns` or ``h3data sql``.
+        padded. The table is held in memory; for larger data use `iter_columns` or ``h3data sql``.
 
         Raises:
             InputError: there is no such column or episode.

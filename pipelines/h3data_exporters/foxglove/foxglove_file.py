@@ -71,16 +71,13 @@ def write_foxglove(
     """Write a ``.foxglove.mcap`` file whose messages are protobuf with their descriptors, at the times of the recorded log.
 
     - ``/tf``: FrameTransforms. The root ``map`` has +Z up; ``world`` in it is the recording's, +Y up; in that every
-      moving
-      body, the root of every agent, and in these the links of robots and the joints of people. A message holds what has
-      moved by more than 1e-6, once a second everything.
+      moving body, the root of every agent, and in these the links of robots and the joints of people. A message holds
+      what has moved by more than 1e-6, once a second everything.
     - ``/scene_update``: SceneUpdate with GLB models. Layers (``ceiling``) have topics below it, so that they can be
-      switched
-      off, and so has everything that is away at times. People are cut into rigid pieces, one for each joint.
+      switched off, and so has everything that is away at times. People are cut into rigid pieces, one for each joint.
     - ``/agents/<name>/pose``: PoseInFrame; ``/agents/<name>/joints``: JointStates of robots.
     - ``/agents/<name>/<sensor>``: LaserScan of a recorded laser scanner; rays that met nothing are infinite. PointCloud
-      of one
-      of several lasers.
+      of one of several lasers.
     - ``/metrics``: the per-step scalars, a message of our own to plot. ``/log``: Log, events, skills and raw input.
     - ``/cam/<name>/calibration``: CameraCalibration of perspective cameras; ``/cam/<name>/video``: CompressedVideo
       (H.264).
