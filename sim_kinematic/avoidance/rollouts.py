@@ -11,8 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.geometry import wrap_angle
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
+from h3data.scene.freespace._distance_field import corner_distances, field_at
+from h3data.scene.freespace._points import SNAP_M
+from h3data.scene.freespace._visibility import nearest_free
 from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import least_gap
@@ -51,17 +55,51 @@ def roll_out(
     Commands that start alike should be next to each other: their common part is simulated once (6,900 instead of 4,700
     expert steps per CPU second).
     """
-    ends = np.empty((len(commands), 4))
-    _roll_out(
+    ends, nobody = np.empty((len(commands), 4)), np.empty((0, 2))
+    walk = nobody if person is None else person
+    free.entries(_roll_out, *_arguments(free, base, xz, heading), commands, walk, look_steps, ends)
+    return Rollouts(ends[:, :2], ends[:, 2], ends[:, 3])
+
+
+def roll_out_to(
+    free: FreeSpace,
+    base: BaseSpec,
+    xz: NDArray[np.float64],
+    heading: float,
+    commands: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    *,
+    look_steps: int,
+    turn_cost_m: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return lengths of the ways [N] [m] from the ends of the trials of `roll_out` to ``goal`` [2], and errors of heading.
+
+    The error [N] [rad] is the angle between the heading at the end and the direction of the way. Where another trial is
+    certainly better, if each radian costs ``turn_cost_m``, the length is infinite instead, which saves searches.
+    """
+    ends = free.entries(
+        _roll_out_to,
+        free.graph,
+        goal[0],
+        goal[1],
+        turn_cost_m,
+        *_arguments(free, base, xz, heading),
+        commands,
+        look_steps,
+    )
+    # NumPy's arctan2 differs from a kernel's in the last bit on some processors
+    return ends[:, 3], np.abs(wrap_angle(np.arctan2(-ends[:, 1], ends[:, 0]) - ends[:, 2]))
+
+
+def _arguments(free: FreeSpace, base: BaseSpec, xz: NDArray[np.float64], heading: float) -> tuple[object, ...]:
+    """Return what kernels of roll-outs need to know of the floor and the base."""
+    return (
         free.sdf,
         free.origin,
         free.cell_m,
         xz[0],
         xz[1],
         heading,
-        commands,
-        np.empty((0, 2)) if person is None else person,
-        look_steps,
         (base.max_speed_mps, 0.0, base.max_turn_rad_s, float(base.allow_back)),
         STEP_S,
         np.array(base.disc_offsets_m),
@@ -73,9 +111,7 @@ def roll_out(
         base.disc_radius_m + AVOIDANCE.person_radius_m,
         AVOIDANCE.doubt_mps,
         base.farthest_m(STEP_S),
-        ends,
     )
-    return Rollouts(ends[:, :2], ends[:, 2], ends[:, 3])
 
 
 @kernel(error_model="numpy")
@@ -86,9 +122,6 @@ def _roll_out(
     x0,
     z0,
     heading0,
-    commands,
-    person,
-    look_steps,
     limits,
     dt,
     offsets,
@@ -100,6 +133,9 @@ def _roll_out(
     reach,
     doubt,
     most,
+    commands,
+    person,
+    look_steps,
     ends,
 ):
     branch, branch_x, branch_z, branch_heading, branch_gap = 0, x0, z0, heading0, math.inf
@@ -144,6 +180,73 @@ def _roll_out(
             if step < look_steps:
                 ends[n, 0], ends[n, 1], ends[n, 2] = x, z, heading
         ends[n, 3] = gap
+
+
+@kernel(error_model="numpy")
+def _roll_out_to(
+    graph,
+    goal_x,
+    goal_z,
+    turn_cost,
+    sdf,
+    origin,
+    cell,
+    x0,
+    z0,
+    heading0,
+    limits,
+    dt,
+    offsets,
+    radius,
+    iterations,
+    tolerance,
+    touch,
+    hull,
+    reach,
+    doubt,
+    most,
+    commands,
+    look_steps,
+):
+    ends, least = np.empty((len(commands), 4)), math.inf
+    _roll_out(
+        sdf,
+        origin,
+        cell,
+        x0,
+        z0,
+        heading0,
+        limits,
+        dt,
+        offsets,
+        radius,
+        iterations,
+        tolerance,
+        touch,
+        hull,
+        reach,
+        doubt,
+        most,
+        commands,
+        np.empty((0, 2)),
+        look_steps,
+        ends,
+    )
+    goal_x, goal_z, island = nearest_free(graph, goal_x, goal_z, SNAP_M)
+    goals = np.array([[goal_x, goal_z]])[: int(island >= 0)]
+    corner = corner_distances(graph, goals)
+    for n in range(len(commands)):
+        x, z, heading, _ = ends[n]
+        ends[n, 3] = math.inf
+        # no way is shorter than the straight line; the table of corners is in float32
+        if math.hypot(goal_x - x, goal_z - z) - 1e-4 >= least:
+            continue
+        ends[n, 3], ends[n, 0], ends[n, 1] = field_at(graph, corner, goals, x, z, SNAP_M)
+        if math.isinf(ends[n, 3]):  # there is no direction
+            ends[n, 0], ends[n, 1] = 1.0, 0.0
+        off = abs((math.atan2(-ends[n, 1], ends[n, 0]) - heading + math.pi) % (2 * math.pi) - math.pi)
+        least = min(least, ends[n, 3] + turn_cost * off)
+    return ends
 
 
 def straight_walk(

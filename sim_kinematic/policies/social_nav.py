@@ -14,7 +14,7 @@ from h3data.builtin import builtin_path
 from h3data.errors import InputError
 from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
+from sim_kinematic.avoidance.rollouts import roll_out, roll_out_to, straight_walk
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.policies.learned import LearnedNavigation
@@ -159,9 +159,18 @@ def _approach(view: SocialNavView, spec: BaseSpec, goal: NDArray[np.float64], ga
         return Velocity(0.0, 0.0, "wait")
     error, turn = _steer(view, next_waypoint(view._replace(human_xz=goal), spec), spec)
     commands = np.concatenate([np.array([(1.0, turn, _steps_to_turn(error, spec), 1.0)]), _STEERING])
-    commands[:, [0, 3]] = np.clip(commands[:, [0, 3]], -gap, gap)  # tried as slowly as it will be done
-    ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, look_steps=EXPERT.steer_steps)
-    left, off = _way_left(view.free, goal, ends.xz, ends.heading)
+    if gap < 1.0:  # tried as slowly as it will be done
+        commands[:, [0, 3]] = np.clip(commands[:, [0, 3]], -gap, gap)
+    left, off = roll_out_to(
+        view.free,
+        spec,
+        view.robot_xz,
+        view.robot_heading,
+        commands,
+        goal,
+        look_steps=EXPERT.steer_steps,
+        turn_cost_m=EXPERT.turn_cost_m,
+    )
     forward, turn = commands[np.argmin(left + EXPERT.turn_cost_m * off), :2].tolist()
     return Velocity(forward, turn, "follow" if view.met else "find")
 

@@ -15,7 +15,7 @@ from h3data.metrics import measure
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import build_from_walkable
 from h3data_homes import HomeSpec, build_home
-from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
+from sim_kinematic.avoidance.rollouts import roll_out, roll_out_to, straight_walk
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots, least_clearance
@@ -127,6 +127,27 @@ def test_trials_are_the_motion_of_the_simulator(free: FreeSpace) -> None:
                 drive_robots(robot, free, np.array(action), SPEC)
             np.testing.assert_allclose(ends.xz[n], robot.xz[0], atol=1e-12)
             assert ends.heading[n] == pytest.approx(robot.heading[0])
+
+
+def test_searches_are_left_out_only_where_another_trial_is_better(free: FreeSpace) -> None:
+    rng, left_out = np.random.default_rng(5), 0
+    goals = [*free.sample(rng, 29), np.array([99.0, 99.0])]
+    for (xz, heading), goal in zip(places(free, 30), goals, strict=True):
+        commands = np.concatenate([rng.uniform(-1, 1, (20, 2)), rng.integers(0, 9, (20, 1)), np.ones((20, 1))], 1)
+        ends = roll_out(free, SPEC, xz, heading, commands, look_steps=8)
+        wanted, direction = free.distance_field(goal).distance_and_direction(ends.xz)
+        turned = np.abs(wrap_angle(np.arctan2(-direction[:, 1], direction[:, 0]) - ends.heading))
+        left, off = roll_out_to(free, SPEC, xz, heading, commands, goal, look_steps=8, turn_cost_m=0.5)
+        found = np.isfinite(left)
+        assert np.isfinite(off).all()
+        np.testing.assert_array_equal(left[found], wanted[found])
+        np.testing.assert_array_equal(off[found], turned[found])
+        if found.any():
+            assert np.argmin(left + 0.5 * off) == np.argmin(wanted + 0.5 * turned)
+        else:
+            assert np.isinf(wanted).all()
+        left_out += int(np.isfinite(wanted[~found]).sum())
+    assert left_out > 0
 
 
 def test_who_walks_stops_at_the_wall(free: FreeSpace) -> None:
