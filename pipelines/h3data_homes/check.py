@@ -62,7 +62,10 @@ def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]
 
 
 def faults(scene: Scene) -> list[str]:
-    """Return a description of each room or piece of furniture out of reach of a walker, and of each ambiguous gap."""
+    """Return descriptions of rooms and furniture that cannot be reached, and of gaps of ambiguous width.
+
+    Reachable means for a walker of radius `WALK_RADIUS`.
+    """
     import shapely
 
     floor = open_floor(scene)

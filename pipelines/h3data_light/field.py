@@ -110,7 +110,8 @@ class LightField:
 
         Args:
             capsules: Capsules of all moving objects in the world [m]; rows with NaN are ignored.
-            groups: Group index of each capsule [N]; a person, robot or object is one group with one light direction.
+            groups: Group index of each capsule, from 0 [N]; a person, robot or object is one group with one light
+                direction.
             members: Group index of every instance of the scene, or -1 for static ones, shape [I].
         """
         c = np.asarray(capsules, np.float64).reshape(-1, 7)
@@ -179,6 +180,8 @@ def light_field(
 
 def mirrored(field: LightField, world: NDArray[np.floating], irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
     """Return the light that vertices of a glossy floor reflect from -x, +x, +y, -z and +z, shape [V, 5].
+
+    The values are 0 on the sides of the floor.
 
     Args:
         field: Light field around the floor.

@@ -45,7 +45,10 @@ LightAt = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64
 
 @dataclass
 class Heap:
-    """Vertices of several meshes with all values that are interpolated along edges, in the mesh frames."""
+    """Vertices of several meshes with all values that are interpolated along edges, in the mesh frames.
+
+    The columns are ``x y z nx ny nz r g b u v``.
+    """
 
     vertices: NDArray[np.float64]
     """Attributes ``x y z nx ny nz r g b u v`` of the vertices in their mesh's frame, shape [V, 11]."""

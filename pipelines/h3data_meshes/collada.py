@@ -75,7 +75,8 @@ def read_collada(path: Path, resource: Callable[[str], bytes]) -> list[ColladaPa
     """Return the parts of the file's scene; ``resource`` returns the bytes of an image by its name in the file.
 
     Raises:
-        SceneError, ValueError, ParseError: the file is damaged; the message states where.
+        SceneError, ValueError, ParseError: the file is damaged; the message states where, and `h3data.mesh.loading`
+            adds the name of the file.
     """
     return list(_Collada(path, resource).parts())
 

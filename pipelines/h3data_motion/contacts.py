@@ -28,7 +28,8 @@ from h3data.geometry import (
 
 LOW_M, SLOW_MPS = 0.04, 0.25
 """Height [m] and speed [m/s] that decide contact. A point of a sole touches the floor if height / LOW_M + speed /
-SLOW_MPS is below 1. A point on the floor may slide, as on a body of other proportions."""
+SLOW_MPS is below 1. A point on the floor may slide, as on a body of other proportions; in the air, only a resting point
+counts."""
 SPEED_S = 1 / 60
 """Time before and after a frame over which speeds are measured [s]; the smaller speed is used."""
 GAP_S, STANCE_S = 0.06, 0.10

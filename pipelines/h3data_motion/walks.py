@@ -1,4 +1,7 @@
-"""Selection of the few seconds of a capture that become a gait, an entry point of the group ``h3data.walks``."""
+"""Selection of the few seconds of a capture that become a gait.
+
+`h3data.bodies.names` finds it by the entry-point group ``h3data.walks``.
+"""
 
 from __future__ import annotations
 

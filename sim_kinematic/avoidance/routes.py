@@ -160,7 +160,7 @@ class DistanceMap:
         return self._path(int((i + a) * self.distance.shape[1] + j + b), goal)
 
     def reaches(self, places: NDArray) -> NDArray[np.bool_]:
-        """Return whether a path leads to each of some floor points [N, 2], as bool [N]."""
+        """Return whether `path_to` finds a path to each of some floor points [N, 2], as bool [N]."""
         # imported here: few episodes ask for this, and it would make every start slower
         from scipy.spatial import KDTree
 

@@ -87,6 +87,8 @@ class Plan(NamedTuple):
     ) -> tuple[Any, Plan]:
         """Return the objects [W] to bring to their goals now, and the plans after this decision.
 
+        An object is -1 if none is left or no choice is due.
+
         Args:
             asked: whether the planner chooses now, bool [W].
             failed: whether its last choice failed, bool [W].

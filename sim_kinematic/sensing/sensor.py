@@ -68,7 +68,8 @@ def _wrapped(xp: Any, angle: Any) -> Any:
 
 
 def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> Any:
-    """Transform points ``(x, z)`` [..., 2] to ``(forward, left)`` [..., 2] [m] of a base at ``robot_xz`` [..., 2]."""
+    """Transform points ``(x, z)`` [..., 2] to ``(forward, left)`` [..., 2] [m] of a base at [..., 2] with heading
+    [...]."""
     if xp is np:
         gap, heading = _gaps(robot_xz, heading, point_xz)
         return _in_frames(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape)
@@ -129,7 +130,8 @@ def agents_within_threshold(
     aside_m: float = 1.5,
     xp: Any = np,
 ) -> Any:
-    """Return whether the other agent is in an ellipse around the base, with half axes ``ahead_m`` and ``aside_m``."""
+    """Return whether the other agent is in an ellipse around the base with half axes ``ahead_m`` and ``aside_m``, bool
+    [...]."""
     seen = in_base_frame(own_xz, heading, other_xz, xp=xp)
     return (seen[..., 0] / ahead_m) ** 2 + (seen[..., 1] / aside_m) ** 2 < 1.0
 

@@ -159,7 +159,7 @@ class Task:
         robot: str = ROBOT_BODY,
         human: str = HUMAN_BODY,
     ) -> Episode:
-        """Sample an episode, by default for the rules and roster of the task and the map of the scene.
+        """Sample an episode with `sample`, by default for the rules and roster of the task and the map of the scene.
 
         ``robot`` and ``human`` are the bodies of agents named by their kind.
         """

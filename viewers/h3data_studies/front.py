@@ -106,7 +106,7 @@ class Focus(msgspec.Struct, frozen=True):
 
     away: bool
     why: Literal["hidden", "blur"] = "blur"
-    """Reason for the absence: the page was hidden, or another window had the keyboard focus."""
+    """Reason for the absence: the page was hidden, or only another window had the keyboard focus."""
     ms: Annotated[float, Meta(ge=0, le=1e9)] = 0.0
     """Duration of the absence, once the participant is back [ms]."""
 

@@ -75,7 +75,7 @@ class ReachResult:
     inside the box, but the arm is too short (or the point too near the shoulder); ``invalid_posture``: the hand gets
     there only by falling over, bending too far or passing through the body."""
     quats: Array
-    """Local joint rotations xyzw, shape [55, 4]."""
+    """Local joint rotations xyzw, shape [55, 4], like one row of the result of `Humanoid.clip_pose`."""
     pelvis: Array
     """Position of the pelvis in the agent root frame, shape [3] [m]; if the target is not reached, for the posture at
     ``nearest_valid``."""

@@ -20,7 +20,7 @@ from h3data_habitat.scenes.scene_dataset import SceneDataset, Section, Template
 from h3data_habitat.scenes.templates import TemplateReader
 
 REACH_MAX_M = 1e5
-"""Largest distance of things from the origin [m], at which float32 still resolves centimetres."""
+"""Largest distance of things from the origin [m]: 100 km, where float32 still resolves centimetres."""
 
 
 @dataclass

@@ -33,7 +33,7 @@ class Furniture:
 
     category: str
     builder: MeshBuilder
-    """Function that builds the visual mesh; `asset` calls it once the piece is placed."""
+    """Function that builds the visual mesh; only `asset` calls it, once the piece is placed."""
     shapes: tuple[Shape, ...]
     receptacles: tuple[Receptacle, ...]
     size: tuple[float, float, float]

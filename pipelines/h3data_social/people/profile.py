@@ -93,7 +93,7 @@ def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> l
 
 
 def social_series(recording: Recording) -> Series:
-    """Compute the per-row quantities and flags [T]. Motion in row k is since row k - 1."""
+    """Compute the per-row quantities and flags [T]. Motion in row k is since row k - 1, and NaN in row 0."""
     find_agents(recording)
     crowd = _Crowd.of([recording])
     series = {

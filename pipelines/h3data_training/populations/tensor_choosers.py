@@ -265,7 +265,7 @@ def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[T
 
 
 def allowed(view: View, *, informed: bool = True) -> Tensor:
-    """Return a mask of sensible choices [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
+    """Return a mask of sensible choices, bool [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
     numbers = every_choice(view.choices, len(view.now.xz))
     kind, k, objects = view.choices.kind[numbers], view.choices.target[numbers], view.sim.bank.objects
     held = view.play.held_by

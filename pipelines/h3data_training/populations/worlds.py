@@ -40,7 +40,10 @@ CHECK_STEPS = 25
 
 
 class TensorPlayers:
-    """Player of training episodes in worlds on a device, with the interface of `playing.Players`."""
+    """Player of training episodes in worlds on a device.
+
+    The interface is that of `h3data_training.populations.playing.Players`.
+    """
 
     workers = 1
 

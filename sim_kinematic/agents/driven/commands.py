@@ -73,7 +73,7 @@ class Close:
     """Command to close a door or a drawer."""
 
     joint: str | int
-    """Door or drawer to close: its name (``thing/part``), or its index among the joints of the home."""
+    """Door or drawer to close, as in `Open`: its name (``thing/part``), or its index among the joints of the home."""
 
 
 @dataclass(frozen=True)

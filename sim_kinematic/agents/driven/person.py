@@ -126,7 +126,7 @@ class DrivenPerson(PersonActor):
         return self._cannot_reach(self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k], k)
 
     def stand_for(self, point: ArrayLike) -> Array | None:
-        """Return the nearest pose ``(x, z, heading)`` [3] with room from which a hand reaches a point [3].
+        """Return the nearest pose ``(x, z, heading)`` [3] with room from which a hand reaches a world point [3] [m].
 
         Returns None if there is none. The search may take 50 ms.
         """

@@ -44,7 +44,7 @@ class SubGoals:
 
     oracle: OracleSpec
     to_start: Sequence[PathTable]
-    """Paths to the initial place of each object."""
+    """Paths to the initial place of each object; ``to_goal`` has the paths to its goal."""
     to_goal: Sequence[PathTable]
     starts: Array
     """Initial positions of the objects [K, 3] [m]."""

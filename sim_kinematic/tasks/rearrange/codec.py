@@ -480,7 +480,7 @@ def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
 
 
 def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = RearrangeSpec) -> RearrangeSpec:
-    """Return the rules from JSON types, where rules that are not named are those of the paper.
+    """Return the rules from the JSON types of `rules_to_json`; rules that are not named are those of the paper.
 
     Raises:
         InputError: the rules are not rules of rearrangement.

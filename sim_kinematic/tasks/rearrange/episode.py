@@ -112,8 +112,8 @@ class RearrangeSpec:
     from which the identity of episodes is derived."""
 
     solid_agents: bool = field(default=False, repr=False)
-    """True if a person under commands slides along the discs of others as along walls, and also gives way to a single
-    robot."""
+    """True if a person under commands slides along the discs of others as along walls (as in
+    `sim_kinematic.motion.spec.SocialNavSpec`), and also gives way to a single robot."""
     floor_moves: bool = field(default=False, repr=False)
     """True if doors and drawers change the free floor when they open and close. This holds for all episodes that are
     sampled in homes with such parts; episodes from before version 0.3 do not have the rule."""

@@ -36,7 +36,7 @@ class StudyTables:
 def series_class(place: int) -> str:
     """Return the CSS class with the colour of the run at index ``place``.
 
-    There are eight colours, which repeat if there are more runs.
+    There are eight colours, which repeat if there are more runs, as in the macro ``legend``.
     """
     return f"s{place % 8 + 1}"
 

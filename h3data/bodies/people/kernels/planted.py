@@ -102,8 +102,9 @@ the share of its stance from which on it may leave."""
 CLEARANCE_M = 0.012
 """Smallest distance of a swinging foot from the floor [m]."""
 FOOT_ROOM_M = 0.03
-"""Distance of heel and toe tip of a swinging foot from walls and furniture [m]. With 6 cm, people whose root is 25 cm
-from a wall never stopped correcting the positions of their feet."""
+"""Distance of heel and toe tip of a swinging foot from walls and furniture [m]. The resting positions of the feet of a
+person whose root is 25 cm from a wall are farther away (5 cm on the largest body). With 6 cm, such people never stopped
+correcting the positions of their feet."""
 SLIDES, LOOKS, TOUCHES_M = 3, 12, 2e-3
 """Largest number of straight lines, and of samples of the map on each, by which heel and toes slide from below the root
 along obstacles to their position. Moved along the gradient of the distances instead, some feet ended on the far side of
