@@ -1,10 +1,9 @@
 """Stand-offs of rearrangement: how often two agents keep each other from getting on, and how long an episode takes.
 
 A stand-off is `STEPS` consecutive steps within `WITHIN_M` of each other in which an agent has something to do, neither
-completes a skill, and neither shortens the path to where it is going (on the floor) by more than `GETS_ON_M`. Somebody who
-drives is going to their errand. The homes are
-``small:0`` to ``small:9``, in turn. In half of the episodes a robot plays ``complement`` beside a person who plans to
-bring ``both`` objects. In the others, somebody drives the robot:
+completes a skill, and neither shortens the path to where it is going (on the floor) by more than `GETS_ON_M`. Somebody
+who drives is going to their errand. The homes are ``small:0`` to ``small:9``, in turn. In half of the episodes a robot
+plays ``complement`` beside a person who plans to bring ``both`` objects. In the others, somebody drives the robot:
 
 * `Errands` (``driven.*``): they go from place to place, stop in doorways for 2 to 8 s, look around, and go on where
   somebody waits. At most 1.6 times the steps of the person alone is asked of these episodes, at the 95th percentile: 1.52

@@ -147,7 +147,7 @@ def load(builder: Any, address: Any, offset: int = 0, kind: Any = FLOAT8) -> Any
 
 
 def fetch(builder: Any, address: Any) -> None:
-    """Asks for the cache line at ``address``, which may lie anywhere."""
+    """Request the cache line at ``address``, which may be any address."""
     kind = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t, INT, INT, INT])
     function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
     # to read, into all levels, data
@@ -161,10 +161,11 @@ def store(builder: Any, value: Any, address: Any, offset: int = 0) -> None:
 
 
 def opaque(builder: Any, value: Any) -> Any:
-    """``value``, of which LLVM knows nothing.
+    """Return ``value`` such that LLVM cannot make assumptions about it.
 
-    LLVM makes a masked store of a selection that is stored, which AMD's processors do in microcode and later loads have to
-    wait for; a blend and a whole store take half the time. Only where eight lanes fit one register.
+    LLVM turns the store of a selection into a masked store, which AMD's processors execute in microcode and for which
+    later loads have to wait. A blend and a whole store take half the time. The function has an effect only where eight
+    lanes fit one register.
     """
     if not _AVX:
         return value
@@ -173,7 +174,7 @@ def opaque(builder: Any, value: Any) -> Any:
 
 
 def pick(builder: Any, low: Any, high: Any, order: Sequence[int]) -> Any:
-    """Lanes of two vectors in the given order: 0-7 are those of ``low``, 8-15 those of ``high``."""
+    """Return lanes of two vectors in the given order: 0-7 are lanes of ``low``, 8-15 are lanes of ``high``."""
     return builder.shuffle_vector(low, high, ir.Constant(INT8, list(order)))
 
 

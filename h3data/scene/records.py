@@ -279,8 +279,8 @@ class Scene:
     lights: tuple[LightSource, ...] | None = None
     """Light sources; None if unknown, empty if there are no lamps (Habitat then shows flat colours)."""
     source: Mapping[str, Any] = field(default_factory=dict)
-    """Source from which the scene can be generated or read again, such as ``{"kind": "home", "preset": "small", "seed":
-    7}``, or Habitat's files."""
+    """Source from which the scene can be generated or read again, such as
+    ``{"kind": "home", "preset": "small", "seed": 7}``, or Habitat's files."""
     articulations: tuple[Articulation, ...] = ()
     """Objects with doors or drawers; `h3data.scene.articulation` poses them."""
 

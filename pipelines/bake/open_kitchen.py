@@ -49,7 +49,7 @@ def view_of(scene: Scene) -> Camera:
 
 
 def main(path: str) -> None:
-    """Render the kitchens and writes the picture."""
+    """Render the kitchens and write the picture."""
     rows = []
     for seed in SEEDS:
         scene = build_home(HomeSpec(seed=seed, articulated=True))

@@ -105,7 +105,7 @@ def states_of(entry: FileEntry, things: Sequence[str]) -> dict[str, list[bool]]:
     """Return the states of things at the start of an episode, by h3data's names; missing states are false.
 
     Raises:
-        FormatError: they are malformed.
+        FormatError: the states are malformed.
     """
     try:
         states = msgspec.convert(entry.extra.get("object_states") or {}, dict[str, dict[str, bool]])

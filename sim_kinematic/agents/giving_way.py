@@ -1,6 +1,6 @@
 """Mutual attention of the agents of one world: how they observe each other, give way, and touch.
 
-Agents move one after the other. It is used by agents with skills and by agents that wander
+Agents move one after the other. The module is used by agents with skills and by agents that wander
 (`sim_kinematic.policies.traffic`).
 """
 

@@ -412,7 +412,7 @@ class Session:
     def close(self, info: Mapping[str, Any] | None = None) -> Recording:
         """End the session and return its recording.
 
-        The entry ``info["ended"]`` says if the episode was stopped before its end. The entries of the argument
+        The entry ``info["ended"]`` states whether the episode was stopped before its end. The entries of the argument
         ``info``, which the caller knows only now, are recorded too.
         """
         if self._closed is None:

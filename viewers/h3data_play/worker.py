@@ -104,7 +104,7 @@ class Running:
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
     seen: dict[int, Any] = field(default_factory=dict)
-    """Doors and drawers that each player last had to open first, by agent."""
+    """Door or drawer that each player most recently had to open before an action, by agent."""
     floors: dict[int, Any] = field(default_factory=dict)
     """Floor that was last sent to each player; None if the page's floor is unknown, and no entry if it never changed."""
     is_stuck: bool = False

@@ -64,7 +64,7 @@ def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> Ro
 
     Raises:
         InputError: There is no such file.
-        FormatError: It is not a usable URDF.
+        FormatError: The file is not a usable URDF.
     """
     read, sure = with_stand_ins(_read(Path(urdf)))
     return GUESSES.get("settings")(_robot(read, RobotSettings(), up), sure, fold=not read.has_posture)

@@ -117,7 +117,7 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
 
     Raises:
         InputError: There is no such file.
-        FormatError: It is not a URDF, or it uses unsupported features.
+        FormatError: The file is not a URDF, or it uses unsupported features.
         MissingAssetError: Mesh files are missing.
     """
     path = Path(path)

@@ -40,7 +40,7 @@ class AssetLibrary:
         scene: Scene | None = None,
         own_folder: Path | None = None,
     ) -> None:
-        """Take the user's roots, a scene that answers ``scene:<asset>``, and the folder that came with a replay file."""
+        """Store the user's asset folders, a scene for names ``scene:<asset>``, and the folder of a replay file."""
         self.own_folder = own_folder
         self.folders = roots if isinstance(roots, AssetFolders) else AssetFolders(roots)
         self.scene = scene

@@ -73,7 +73,7 @@ class DatasetFolder:
 
         Raises:
             InputError: there is no such folder, or it cannot be read.
-            FormatError: it is not a dataset of h3data, or its metadata are damaged.
+            FormatError: the folder is not a dataset of h3data, or its metadata are damaged.
         """
         self.root = place(root)
         try:

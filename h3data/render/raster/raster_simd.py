@@ -24,7 +24,7 @@ from h3data.kernels.vectors import (
 )
 
 NEAR_M = 0.02
-"""Triangles nearer than this [m] take the exact homogeneous path. Not a near plane: nothing is cut away."""
+"""Depth below which triangles are filled by exact homogeneous edge functions [m]; it is not a near plane."""
 
 # Rows of the table that `setup_triangles` writes, 8 lanes each.
 E0, E1, E2, INV_Z = 0, 1, 2, 3  # edge values and nearness at the first pixel centre of the box
@@ -197,9 +197,10 @@ def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at
 def setup_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
     """Transform, project, cull and set up the 8 triangles of one packet.
 
-    Takes the addresses of the packet (9 rows x 8 lanes: x y z of three vertices), the 3x4 matrix to camera space with its
-    first two rows times the focal lengths, the words of the screen, and the output table [SETUP_ROWS, 8]. Returns three
-    masks of the remaining triangles: bits 0-7 small; 8-15 large, sliver or near the eye; 16-23 medium.
+    The arguments are the addresses of the packet (9 rows x 8 lanes: x y z of three vertices), the 3x4 matrix to camera
+    space with its first two rows times the focal lengths, the words of the screen, and the output table [SETUP_ROWS,
+    8]. Returns three masks of the remaining triangles: bits 0-7 small; 8-15 large, sliver or near the eye; 16-23
+    medium.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -210,7 +211,7 @@ def setup_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
 
 @intrinsic
 def setup_parallel_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
-    """Set up triangles as `setup_triangles` does, for an orthographic camera; the matrix's last row maps to nearness."""
+    """Set up the 8 triangles of one packet for an orthographic camera; the last row of the matrix maps to nearness."""
 
     def codegen(context, builder, signature, arguments):
         return _emit_setup(builder, *arguments, parallel=True)

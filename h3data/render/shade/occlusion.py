@@ -1,9 +1,9 @@
-"""Ambient occlusion from the depth buffer alone: how much ambient light nearby surfaces block.
+"""Ambient occlusion, the share of ambient light that nearby surfaces block, from the depth buffer alone.
 
-Scalable ambient obscurance (McGuire et al. 2012) at half resolution: a few taps on a disc of fixed world size, rotated from
-pixel to pixel, measure how far surfaces rise above the pixel's own plane; a blur and an interpolation within each surface
-follow. Surfaces beyond the disc's radius do not count, so there are no halos, and a plane does not occlude itself, so
-open floors and walls keep their exact colour.
+Scalable ambient obscurance (McGuire et al. 2012) at half resolution: a few taps on a disc of fixed world size, rotated
+from pixel to pixel, measure how far surfaces rise above the pixel's own plane; a blur and an interpolation within each
+surface follow. Surfaces beyond the disc's radius do not count, so there are no halos, and a plane does not occlude
+itself, so open floors and walls keep their exact colour.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from h3data.render.shade.occlusion_simd import (
 )
 
 RADIUS_M = 0.32
-"""Surfaces beyond this distance do not occlude."""
+"""Distance beyond which surfaces do not occlude [m]."""
 SPREAD = 0.18
 """Upper bound of the disc's radius as a share of the pixel's distance, which keeps the disc small in the image."""
 CONTRAST = 11.0
 """Factor on the mean m over the taps; the amount is m / (1 + m), about one half in a right-angled corner."""
 RECEDED_M = 100.0
-"""Distance behind an orthographic camera of the eye from which its image counts as seen [m]."""
+"""Distance behind an orthographic camera of the eye that replaces its parallel rays [m]."""
 EDGE, EDGE_ROWS = 8, 2
 """Padding columns and rows around the coarse image, so that blocks may overrun."""
 
@@ -66,7 +66,7 @@ TAP_OFFSETS = _offsets()
 
 
 class Occlusion(NamedTuple):
-    """The coarse image at half resolution, with padding."""
+    """Image of occlusion at half resolution, with padding."""
 
     inv_z: NDArray[np.float32]
     """Value 1/z of each pixel, 0 = background, shape [rows, columns] [1/m]."""
@@ -95,7 +95,7 @@ def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.floa
 
 
 def receded(view: View, target: Target) -> NDArray[np.float32]:
-    """Return 1/z of an orthographic image as seen by an eye far behind the camera, with the shape of ``target.inv_z``."""
+    """Return 1/z of an orthographic image as seen by an eye far behind the camera, shape of ``target.inv_z``."""
     z = view.reach - target.inv_z
     hit = (target.inv_z > 0) & (target.inv_z < FAR_PADDING)
     return np.where(hit, 1 / (RECEDED_M + np.maximum(z, 0)), target.inv_z).astype(np.float32)
@@ -104,8 +104,8 @@ def receded(view: View, target: Target) -> NDArray[np.float32]:
 def occlude(view: View, target: Target, samples: int, *, before: Occlusion | None = None) -> Occlusion:
     """Compute the occlusion of a rendered target; with ``samples=4``, target and view have twice the image's size.
 
-    For an orthographic view, ``target.inv_z`` must be the result of `receded`. If ``before`` is the occlusion of the image
-    that the target showed before, in the same view, it is brought up to date instead, which gives the same numbers.
+    For an orthographic view, ``target.inv_z`` must be the result of `receded`. If ``before`` is the occlusion of the
+    previous image of the target, in the same view, only its changes are computed, with the same result.
     """
     factor = 4 if samples == 4 else 2
     height, width = -(-view.height // factor), -(-view.width // factor)
@@ -252,9 +252,11 @@ def _clear_edges(planes, height, width):
 
 @kernel_part()
 def dim_row(occlusion, strength, y, width, near_at, strip, marks):
-    """Dim an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given the address of its 1/z [W + 8].
+    """Dim an image row of linear levels, the first three rows of ``strip`` [.., W + 8], by its occlusion.
 
-    Blocks of 8 pixels none of which is marked as shaded (`marks`) are left out.
+    The function gets the address of the row's 1/z [W + 8].
+
+    Blocks of 8 pixels without any pixel marked as shaded (`marks`) are skipped.
     """
     inv_z, planes = occlusion.inv_z, occlusion.planes
     row_bytes, plane_bytes = np.uintp(inv_z.shape[1] * 4), np.uintp(inv_z.size * 4)

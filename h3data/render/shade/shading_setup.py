@@ -39,14 +39,14 @@ _WORD_SCALE = np.array(WORD_SCALE, np.float32)
 
 
 class Cache(NamedTuple):
-    """Cached triangles by slot."""
+    """Cache of triangles by slot."""
 
     words: NDArray[np.int32]
     """Pixel word of each triangle, -1 = empty, shape [N]."""
     planes: NDArray[np.float64]
     """Value 1/z and the barycentrics of vertices 1 and 2 over z, as linear functions of the ray (u, v, 1), shape [N, 3, 3]."""
     attributes: NDArray[np.float32]
-    """Attributes as laid out in `shading_simd`, shape [N, ATTRIBUTES]."""
+    """Attributes of the vertices in the layout of `shading_simd`, shape [N, ATTRIBUTES]."""
     levels: NDArray[np.int32]
     """Row of the texture's finest level, or `NO_TEXTURE`, shape [N]."""
 

@@ -12,13 +12,13 @@ OFFSET, WIDTH, HEIGHT, FOLLOWING = range(4)
 """Columns of a level (int32): its first word, its size in texels, and the number of coarser levels that follow."""
 LEVEL_WORDS = 4
 ONE_LEVEL = 0.25
-"""Within this distance of an integer level of detail, one level is used; in between, two are blended."""
+"""Distance from an integer level of detail within which one level is used; otherwise two levels are blended."""
 
 
 def level_of_detail(b: Any, squared: Vec, last: Vec) -> Vec:
     """Compute the level of detail at which a texel is as large as a pixel.
 
-    It is 0 to ``last``, from the squared number of texels per pixel.
+    The level is between 0 and ``last``, and follows from the squared number of texels per pixel.
 
     The logarithm is approximated linearly between powers of two, which is at most 0.05 levels too small.
     """

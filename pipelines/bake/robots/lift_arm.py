@@ -138,7 +138,10 @@ def arm() -> tuple[Link, ...]:
 
 
 def wrist() -> tuple[Link, ...]:
-    """Yaw, pitch, roll, and a hand with two fingers. At zero the hand points where the arm does, to the right (-y)."""
+    """Return the links of the wrist (yaw, pitch, roll) and of a hand with two fingers.
+
+    At zero, the hand points in the direction of the arm, to the right (-y).
+    """
     yaw = (
         solid(disc_points(0.030, 0.060, axis=2, bevel=0.006), GRAPHITE),
         solid(disc_points(0.024, 0.030, axis=2, center=(0, 0, -0.040), bevel=0.005), AMBER),

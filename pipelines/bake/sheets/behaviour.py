@@ -79,7 +79,7 @@ class Motion:
         )
 
     def passes_door(self, agent: int) -> NDArray[np.bool_]:
-        """Steps in which an agent comes from one room into another, [T]."""
+        """Return a mask of the steps in which an agent goes from one room into another, [T]."""
         own = self.rooms[agent]
         return np.append(False, (own[1:] != own[:-1]) & (own[1:] >= 0) & (own[:-1] >= 0))
 
@@ -256,7 +256,7 @@ def film(recording: Recording, moment: Moment, camera: str, file: Path) -> int:
 
 
 def main(out: Path, folders: Sequence[str], only: Sequence[str] = ()) -> None:
-    """Find the moments, prints where they are, and renders a film of each."""
+    """Find the moments, print where they are, and render a film of each."""
     datasets = {folder: Dataset(folder) for folder in folders}
     episodes = [(folder, k) for folder, data in datasets.items() for k in range(len(data))]
     found: dict[str, list[tuple[float, str, int, Moment]]] = {name: [] for name in FILMS}

@@ -41,7 +41,7 @@ def row(scene: Scene, name: str) -> NDArray[np.uint8]:
 
 
 def main(path: str) -> None:
-    """Render the doors and writes the picture."""
+    """Render the doors and write the picture."""
     rows = [row(build_home(HomeSpec(seed=seed, generation=2, doors=True)), name) for seed, name in SHOWN]
     write_jpg(path, np.vstack([rows[0], np.full((GAP, rows[0].shape[1], 3), 255, np.uint8), rows[1]]))
 

@@ -158,7 +158,7 @@ SHEETS: Mapping[str, Callable[[], Picture]] = {
 
 
 def main() -> None:
-    """Render and writes the sheets."""
+    """Render and write the sheets."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", help=f"some of {', '.join(SHEETS)} (default: all)")

@@ -30,7 +30,7 @@ def frames_of(folder: Path) -> list[NDArray[np.uint8]]:
 
 
 def main(out: str) -> None:
-    """Make the dataset, repeats its actions in its environment and draws both."""
+    """Make the dataset, repeat its actions in its environment, and render both."""
     with TemporaryDirectory() as name:
         source, demos = str(Path(name) / "ds"), Path(name) / "demos"
         options = f"--scenes medium:1 --seed {SEED} --episodes 1 --max-steps {STEPS} --cameras {CAMERA}@{SIDE}x{SIDE}"

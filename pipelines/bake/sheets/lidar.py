@@ -50,7 +50,7 @@ def _pixels(camera: Camera, local: Array) -> tuple[NDArray[np.int64], NDArray[np
 
 
 def main(out: str) -> None:
-    """Play an episode and writes the picture."""
+    """Play an episode and write the picture."""
     recording = h3data.simulate(SocialNav, "small:1", seed=3, max_steps=STEP + 30, sensors=("lidar_legs", "lidar_3d"))
     replay = Replay(recording, light="baked")
     pictures = [picture(replay, scans_of(recording)[0], name) for name in CAMERAS]

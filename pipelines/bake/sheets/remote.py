@@ -75,7 +75,7 @@ def plot(chunk: NDArray[np.float64]) -> Image.Image:
 
 
 def main(out: str) -> None:
-    """Play the episode and writes the picture."""
+    """Play the episode and write the picture."""
     seen = requests()
     sheet = Image.new("RGB", ((WIDTH + 4) * PANELS - 4, WIDTH + 18 + PLOT), "white")
     for n, index in enumerate(np.linspace(FIRST, len(seen) - 5, PANELS).astype(int).tolist()):

@@ -57,7 +57,7 @@ def draw(name: str, recording: Recording, free: FreeSpace) -> Image.Image:
 
 
 def main(out: str) -> None:
-    """Play an episode of each card and draws them all."""
+    """Play an episode of each card and draw all of them."""
     task, cards = Scenarios(), list(load_cards())
     source = named_scenes(SCENE)[0].source
     rules = ScenarioSpec()

@@ -33,7 +33,7 @@ from sim_kinematic.tasks.wander import Wander
 
 SEED, WIDTH = 3, 1920
 UPPER_M = 1.2
-"""People on the stairs are looked for between this height and the upper floor less it."""
+"""Margin between the range of heights in which people count as being on the stairs and the floors at both ends [m]."""
 
 
 def stairs_of(scene: Scene) -> Room:

@@ -19,7 +19,7 @@ SCENE, PIXELS_PER_M, TITLE = "small2-doors:3", 40.0, 20
 
 
 def main(out: str) -> None:
-    """Write the home as USD, reads it and draws both."""
+    """Write the home as USD, read it, and render both."""
     own = open_scene(named_scenes(SCENE)[0].source)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "home.usdz"

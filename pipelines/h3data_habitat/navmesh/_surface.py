@@ -51,8 +51,8 @@ class Surface(NamedTuple):
     climb: NDArray[np.float64]
     """Largest vertical distance between a point and a polygon that it touches, shape [1] [m]."""
     bucket_first: NDArray[np.int32]
-    """First entry of each bucket, shape [bx, bz]: bucket (i, j) has the polygons ``bucket_polygon[bucket_first[i,
-    j]:bucket_first[i, j] + bucket_count[i, j]]``."""
+    """First entry of each bucket, shape [bx, bz]: bucket (i, j) has the polygons
+    ``bucket_polygon[bucket_first[i, j]:bucket_first[i, j] + bucket_count[i, j]]``."""
     bucket_count: NDArray[np.int32]
     bucket_polygon: NDArray[np.int32]
     bucket: NDArray[np.float64]

@@ -1,7 +1,8 @@
-"""PNG files of ids, in a few percent of zlib's time: rows resemble those above, so that most pixels are skipped by eights.
+"""PNG encoder for images of ids that takes a few percent of zlib's time.
 
-Each row is stored as its difference to the row above (filter "up"). Runs of zeros, and of one number repeated, become
-references one or two bytes back (RFC 1951), in a Huffman code that is the same for all pictures.
+Rows resemble those above, so that most pixels are skipped eight at a time. Each row is stored as its difference to the
+row above (filter "up"). Runs of zeros and of any repeated number become references to one or two bytes before (RFC
+1951), with the same Huffman code for all pictures.
 """
 
 from __future__ import annotations
@@ -221,7 +222,7 @@ def _put_zeros(bits, count, at, out, literals, runs, number):
 
 @intrinsic
 def equal_pixels(typing_context, one_at, other_at):
-    """Return the number of leading 16-bit numbers, of the 16 at two addresses, that are equal."""
+    """Return how many of the 16 leading 16-bit numbers at two addresses are equal."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         kind = ir.VectorType(ir.IntType(16), _AT_ONCE)

@@ -88,7 +88,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         Raises:
             InputError: the dataset was not exported to LeRobot, or it cannot be played, because its task has skills,
                 its agent is not a robot, or one of its cameras is not on an agent.
-            FormatError: it is damaged.
+            FormatError: the dataset is damaged.
         """
         given = {"episodes": episodes, "cameras": cameras, "max_steps": max_steps, "light": light}
         folder = None if record is None else str(record)

@@ -287,7 +287,7 @@ def prim_size(prim: Any, name: str, default: float, *, least: float = 1e-9) -> f
     """Return a positive length attribute of a prim in units of the stage, or ``default`` if it has none.
 
     Raises:
-        ValueError: it is not a positive number.
+        ValueError: the value is not a positive number.
     """
     value = prim.GetAttribute(name).Get(pxr("Usd").TimeCode.EarliestTime())
     value = default if value is None else float(value)

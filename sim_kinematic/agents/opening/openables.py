@@ -159,7 +159,7 @@ class ArticulatedParts:
         return way
 
     def move(self, k: int, position: float) -> None:
-        """Move a joint, and with it the objects that lie on the parts that it moves."""
+        """Move a joint, together with the objects that lie on its moving parts."""
         state, before = self.objects.state, self.joints.motions(self.positions)
         # asked before it moves, while they lie where the part is
         lying = self._lying(k, before)

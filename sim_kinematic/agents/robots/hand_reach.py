@@ -38,7 +38,8 @@ class HandReachSpec:
     heights_m: tuple[float, ...] = (0.45, 0.75, 0.95)
     """Heights of tables and counters for which the direction is chosen [m]."""
     aside_rad: tuple[float, ...] = (0.0, np.pi / 4, -np.pi / 4, np.pi / 2, -np.pi / 2)
-    """Directions in which a robot takes handles that its base cannot turn to face, relative to its reaching direction [rad]."""
+    """Directions, relative to the reaching direction, in which a robot takes a handle that its base cannot turn towards
+    [rad]."""
     reach_slack_m: float = 0.01
     """Largest distance of a hand from its target at which the target counts as reached [m], far above the search's
     tolerances."""

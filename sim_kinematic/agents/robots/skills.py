@@ -46,7 +46,7 @@ def checked_command(command: ArrayLike, robot: Robot) -> Array:
     """Return a low-level command clipped to -1..1: base [2], arm [n], and grip [1].
 
     Raises:
-        InputError: It has another length or is not finite, or the robot has no arm.
+        InputError: The command has another length or is not finite, or the robot has no arm.
     """
     count = len(robot.require_arm()) + 3
     try:

@@ -113,8 +113,10 @@ class ResNetLSTM(nn.Module):
         features: int = 512,
         hidden: int = 512,
     ) -> None:
-        """Create a network for ``numbers`` values, and for pictures of a ``size`` (width, height) [pixels], or None for
-        no pictures."""
+        """Create a network for ``numbers`` values, and for pictures of a ``size`` (width, height) [pixels].
+
+        If ``size`` is None, there are no pictures.
+        """
         super().__init__()
         self.visual = None if size is None else ResNet18(size, given=given, planes=planes, features=features)
         self.lstm = nn.LSTM((0 if size is None else features) + numbers, hidden, LAYERS)

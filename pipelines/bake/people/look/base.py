@@ -78,7 +78,7 @@ class Base:
         return Cloth(vertices=vertices, weights=weights, faces=np.concatenate(faces).astype(np.int32))
 
     def part(self, name: str) -> NDArray[np.int32]:
-        """Faces of one part of `pattern`."""
+        """Return the faces of one part of `pattern`."""
         names = list(self.starts)
         end = [*list(self.starts.values())[1:], len(self.pattern.vertices)][names.index(name)]
         first = self.pattern.faces[:, 0]

@@ -29,7 +29,7 @@ class Sheet(Cloth):
     """Slot of each vertex, shape [V]."""
 
     def mesh(self) -> Cloth:
-        """The piece as cloth, with skin weights."""
+        """Return the piece as cloth, with skin weights."""
         return Cloth(vertices=self.vertices, weights=self.weights, faces=self.faces)
 
 
@@ -196,7 +196,7 @@ class Ground:
         return point if draft.offset is None else point + draft.offset
 
     def arrays(self, draft: Draft, part: str, *, ruler: tuple[int, int] = (0, 1)) -> dict[str, NDArray]:
-        """The arrays of the patch (`h3data.bodies.people.look.patches.read_patch`)."""
+        """Return the arrays of the patch (`h3data.bodies.people.look.patches.read_patch`)."""
         corners, shares, height = self.attached(draft.mesh.vertices, part)
         weights = draft.mesh.weights if draft.weights is None else draft.weights
         order = np.argsort(-weights, axis=1, kind="stable")[:, :4]

@@ -89,7 +89,7 @@ class Skull:
         self.round_head, self.with_ears = Round(ground, ears < 0.2), Round(ground, ears >= 0.0)
 
     def at(self, polar_deg: Array, azimuth: Array, grid: Array | None = None) -> Array:
-        """Points of the cage [..., 3] at polar angles [deg] and azimuths [rad]."""
+        """Return points of the cage [..., 3] at polar angles [deg] and azimuths [rad]."""
         g = self.grid if grid is None else grid
         row = np.clip((polar_deg - np.degrees(np.radians(0.5))) / (HEAD_POLAR_DEG - 0.5), 0, 1) * (HEAD_ROWS - 1)
         column = (azimuth / (2 * np.pi) * HEAD_COLUMNS) % HEAD_COLUMNS

@@ -62,7 +62,7 @@ class Measures:
         self.head_size = self.stature - float(self.eye[1])
 
     def is_eye(self, mesh: Cloth) -> NDArray[np.bool_]:
-        """Vertices of the eyeballs."""
+        """Return a mask of the vertices of the eyeballs."""
         return joint_weight(mesh, ("left_eye_smplhf", "right_eye_smplhf")) > 0.9
 
     def arms(self, mesh: Cloth) -> Array:
