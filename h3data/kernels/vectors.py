@@ -85,7 +85,7 @@ class Vec:
         return Vec(self.builder, self.builder.fdiv(self._lift(1.0), self.value))
 
     def divided_by(self, other: Vec) -> Vec:
-        """Quotient of the components of two vectors."""
+        """Return the quotients of the components of two vectors."""
         return self._binary("fdiv", other)
 
     def compare(self, operator: str, other: Vec | float) -> Mask:
@@ -93,11 +93,11 @@ class Vec:
         return Mask(self.builder, self.builder.fcmp_ordered(operator, self.value, self._lift(other)))
 
     def minimum(self, other: Vec | float) -> Vec:
-        """Smaller of the components of two vectors."""
+        """Return the smaller one of each pair of components of two vectors."""
         return self.where(self.compare("<", other), other)
 
     def maximum(self, other: Vec | float) -> Vec:
-        """Larger of the components of two vectors."""
+        """Return the larger one of each pair of components of two vectors."""
         return self.where(self.compare(">", other), other)
 
     def where(self, mask: Mask, other: Vec | float) -> Vec:
@@ -105,7 +105,7 @@ class Vec:
         return Vec(self.builder, self.builder.select(mask.value, self.value, self._lift(other)))
 
     def unary(self, name: str) -> Vec:
-        """``ceil``, ``floor``, ``fabs`` or ``sqrt``."""
+        """Return ``ceil``, ``floor``, ``fabs`` or ``sqrt`` of each component."""
         kind = self.value.type
         name = f"llvm.{name}.v8f{32 if kind == FLOAT8 else 64}"
         function = cgutils.get_or_insert_function(self.builder.module, ir.FunctionType(kind, [kind]), name)
@@ -113,7 +113,7 @@ class Vec:
 
 
 def fma(x: Vec, y: Vec | float, z: Vec | float) -> Vec:
-    """``x * y + z`` in one instruction where there is one."""
+    """Return ``x * y + z``, computed by one instruction if the processor has one."""
     b = x.builder
     function = cgutils.get_or_insert_function(b.module, ir.FunctionType(FLOAT8, [FLOAT8] * 3), "llvm.fmuladd.v8f32")
     return Vec(b, b.call(function, [x.value, x._lift(y), x._lift(z)]))

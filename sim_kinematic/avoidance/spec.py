@@ -69,7 +69,7 @@ class AvoidanceSpec:
     standing_margin_m: float = 0.15
     """Distance to keep from agents that stand and step aside when asked [m]."""
     still_margin_m: float = 0.0
-    """Distance to keep from agents that have stood for long [m], small enough for a robot to get past."""
+    """Distance to keep from agents that have stood still for a long time [m], small enough for a robot to get past."""
     still_steps: int = 75
     """Number of steps of standing after which an agent has settled; picking and placing take fewer."""
     still_m: float = 0.01

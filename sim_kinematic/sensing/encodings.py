@@ -99,4 +99,4 @@ OF_COMMANDS: Mapping[str, Encoding] = {
 OF_CHOICES: Mapping[str, Encoding] = {
     name: _of_choices(sensor) for name, sensor in SENSES.items() if sensor.times != "choices"
 } | {DETECTOR: _of_choices(_FLAG)}
-"""Encodings of the observations that networks of choices can read, by namein addition to the sensors of choices."""
+"""Encodings of the observations that networks of choices can read in addition to the sensors of choices, by name."""

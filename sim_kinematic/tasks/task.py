@@ -1,4 +1,4 @@
-"""Base class of tasks: how episodes are sampled, how steps are evaluated, and which policies are available.
+"""Base class of tasks, which defines the sampling of episodes, the evaluation of steps, and the available policies.
 
 A custom task is a subclass of `Task` with a frozen `TaskSpec`, which is found by an entry point (group
 ``h3data.tasks``) or as ``module:Class``. Only `sample` and `judge` are needed; recording, resuming, environments,

@@ -33,7 +33,7 @@ class GaitStyle:
 
     stance: float
     pitch: tuple[tuple[float, float], ...]
-    """Foot pitch over the cycle from heel strike: (phase, degrees, positive = toes up)."""
+    """Foot pitch over the cycle from heel strike on, as pairs of phase and angle [deg] (positive: toes up)."""
     loose: tuple[int, ...]
     """Indices of the rows of ``pitch`` whose offsets are fitted."""
     yaw: float

@@ -149,7 +149,8 @@ def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLik
 BOTH: tuple[Hand, Hand] = ("left", "right")
 """Left and right hand, in the order in which arrays of hands hold them."""
 CURL_RAD, HAND_TWIST_RAD = 0.55, 0.1
-"""Bend of the fingers around a held object, and the twist of the forearm and again of the wrist."""
+"""Bend of the fingers around a held object, and the twist of the forearm, to which the wrist adds the same twist [rad].
+"""
 ARMS = CARRY_JOINTS[:, 1:]
 """Joint indices of shoulder, elbow and wrist of the left and the right arm, [2, 3]."""
 

@@ -147,7 +147,7 @@ class PlantedWalk:
 
         self.tables, self._stride_one = tables, stride_one
         self.state: Array = np.zeros(STATE_COLUMNS)
-        """A row of `planted_states` [K]; a copy of it keeps a moment."""
+        """Current state, as a row of `planted_states` [K]; copy it to store a moment."""
         self.stand(base)
 
     def stand(self, base: ArrayLike) -> None:

@@ -271,7 +271,7 @@ class ReachSolver:
         return found[int(np.argmin(np.linalg.norm(found - target, axis=1)))]
 
     def base_motion(self, target: Array) -> BaseMotion | None:
-        """Return the smallest motion of the base found after which ``target`` [3] [m] is reached.
+        """Return the smallest motion of the base, among those tried, after which ``target`` [3] [m] is reached.
 
         The motion turns the body to the target if the target is not in front of it.
         """

@@ -1,9 +1,9 @@
 """Inverse kinematics: joint positions that bring a point or a frame of a robot's link to a target.
 
 Damped least squares in the manner of Levenberg and Marquardt (Wampler 1986; Nakamura and Hanafusa 1986; Sugihara 2011):
-the damping shrinks while steps help and grows when they do not. A joint at a limit leaves the step as long as it pushes
-outwards. If the search stops far from the target, it is repeated from fixed pseudo-random postures, so the same target
-has the same solution, alone or in a batch.
+the damping shrinks while steps help and grows when they do not. A joint at a limit is left out of a step as long as the
+step would push it outwards. If the search stops far from the target, it is repeated from fixed pseudo-random postures,
+so the same target has the same solution, alone or in a batch.
 """
 
 from __future__ import annotations

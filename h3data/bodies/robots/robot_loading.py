@@ -108,7 +108,7 @@ def _digest_of(*parts: tuple[Path | None, tuple[int, int]]) -> str:
 
 
 def check_robot(name_or_path: str | Path, sha256: str, *, agent: str) -> None:
-    """Raise an InputError unless the robot that was recorded for ``agent`` is there with the digest `robot_digest` gave.
+    """Raise an InputError unless the recorded robot of ``agent`` exists and has the recorded digest (`robot_digest`).
 
     An empty ``sha256`` (built-in robots, recordings made before there were digests) allows any robot.
     """

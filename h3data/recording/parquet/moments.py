@@ -28,8 +28,8 @@ class Moments:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     quantiles: NDArray[np.float64] | None = None
-    """`QUANTILES`, shape [5, width]. For several episodes they are means weighted by counts, as LeRobot aggregates
-    them. None if the dataset was written without them."""
+    """Values of the `QUANTILES`, shape [5, width]. For several episodes, they are means weighted by counts, as LeRobot
+    aggregates them. None if the dataset was written without them."""
 
     @property
     def std(self) -> NDArray[np.float64]:

@@ -94,11 +94,11 @@ class View(NamedTuple):
     parallel: bool = False
     """True if the camera is orthographic."""
     near: float = 0.0
-    """Surfaces with a smaller z are cut away [m]."""
+    """Depth z below which surfaces are cut away [m]."""
     far: float = float("inf")
-    """Surfaces with a larger z count as background [m]."""
+    """Depth z above which surfaces count as background [m]."""
     reach: float = 0.0
-    """Orthographic cameras: a z beyond all instances [m] (`reach_of`)."""
+    """Depth z beyond all instances, for orthographic cameras [m] (`reach_of`)."""
 
 
 class Target(NamedTuple):

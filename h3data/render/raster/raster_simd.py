@@ -95,7 +95,7 @@ def blend_block(typing_context, inv_z_at, word_at, e0, e1, e2, inv_z, e0_dx, e1_
 
 @intrinsic
 def fetch_ahead(typing_context, address):
-    """Prefetch the cache line at ``address``, which may lie anywhere."""
+    """Prefetch the cache line at ``address``, which may be any address."""
 
     def codegen(context, builder, signature, arguments):
         fetch(builder, arguments[0])

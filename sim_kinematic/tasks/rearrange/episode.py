@@ -120,8 +120,8 @@ class RearrangeSpec:
     oracle: OracleSpec | None = field(default=None, repr=False)
     """Rules of simplified skills like Habitat's oracle skills (see `ORACLE_RULES`); None for full skills."""
     observe: str = field(default="full", repr=False)
-    """Knowledge of policies. With ``full``, they know where all objects are; with ``seen``, only where those are that
-    the agent itself has seen (`sim_kinematic.sensing.sight`)."""
+    """Knowledge of policies. With ``full``, they know the positions of all objects; with ``seen``, only of the objects
+    that the agent itself has seen (`sim_kinematic.sensing.sight`)."""
     parts: int = field(default=0, repr=False)
     """Number of doors and drawers that agents may choose to open by number, which are those of `Rearrange.parts_of`."""
     skills: str = field(default="", repr=False)
