@@ -424,7 +424,7 @@ def chore_at(
 def breakfast(episode: Any, number: int) -> ChoreRoutine:
     """Return the breakfast routine of an agent, sampled by the seed.
 
-    They take things, lay the table, eat, and look at a phone.
+    People take things, lay the table, eat, and look at a phone.
 
     Raises:
         SceneError: The home has no things for any of it.

@@ -226,9 +226,9 @@ def _mass_of_kinbody(file: Path, volume_m3: float) -> float | None:
 def with_object_models(scene: Scene, models: Mapping[str, ObjectModel], *, seed: int = 0) -> tuple[Scene, int]:
     """Return the scene with models in place of its movable things, and the number of replaced things.
 
-    A model stands where the thing stood, and turned as it was. One that is larger than the thing by more than `GROWTH_M`, or
-    would touch what is around it, is not chosen; a thing for which there is none stays. ``scene.source["objects"]`` has mass
-    and grasp of each model that is used, by asset.
+    A model has the position and rotation of the thing that it replaces. Models that are larger than the thing by more
+    than `GROWTH_M`, or would touch objects around it, are not used; a thing without a suitable model is not replaced.
+    ``scene.source["objects"]`` has mass and grasp of each model that is used, by asset.
     """
     rng = np.random.default_rng(seed)
     names = sorted(models)

@@ -206,9 +206,9 @@ class Expert:
         self.number, self.greedy = number, greedy
         self.episode, self.failures, self.moved, self.begun = episode, 0, 0, False
         self.stuck = 0
-        """Number of skills in a row that ended because a robot could not get on."""
+        """Number of consecutive skills that ended because the robot could not continue."""
         self.escape: list[str] = []
-        """Primitives by which it gets free, the next one first."""
+        """Primitives by which a stuck robot gets free, the next one first."""
 
     def _begin(self, view: RearrangeView) -> None:
         """Join the plan of those who play this episode now; one of an earlier play has been asked for later steps."""

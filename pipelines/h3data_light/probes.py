@@ -240,11 +240,12 @@ def blur(distance, place, usable, light, out, axis):
 def light_points(distance, points, normals, inward, emitters, side, reach, place, usable, light, out):
     """Fill the irradiance ``out`` [N, 3] at surface points [N, 3] with unit normals.
 
-    It is NaN where a point lies inside other surfaces or sees no probe.
+    The irradiance is NaN where a point lies inside other surfaces or sees no probe.
 
-    ``side`` is the number of rays along each side of a window. Without probes (0 blocks) it is the direct light alone.
-    Points are lifted off their surface by more than a voxel. Points at a corner then still lie in the other surface, so
-    they are also moved ``inward`` [N, 3], towards the middle of their own faces, by little more than a voxel.
+    ``side`` is the number of rays along each side of a window. Without probes (0 blocks), the result is the direct
+    light alone. Points are lifted off their surface by more than a voxel. Points at a corner then still lie in the
+    other surface, so they are also moved ``inward`` [N, 3], towards the middle of their own faces, by little more than
+    a voxel.
     """
     shape = usable.shape
     for n in range(len(points)):

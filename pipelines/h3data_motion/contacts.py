@@ -1,6 +1,6 @@
 """Correction of sliding feet: floor contact is detected by height and speed, and legs follow by inverse kinematics.
 
-A foot on the floor rolls over its heel, the ball below its toe joint, and the tip of its toes, whichever is lowest; The
+A foot on the floor rolls over its heel, the ball below its toe joint, and the tip of its toes, whichever is lowest. The
 rotations of the foot are kept, and its lowest point rests while it is the lowest. Between two stances the correction is
 interpolated. All coordinates are in a frame with the floor at y = 0.
 """
@@ -191,8 +191,8 @@ def _shortest_turn(a: Array, b: Array) -> Array:
 def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:
     """Return frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of both legs, in the frame of ``pelvis`` [T, 3].
 
-    It computes the same as `h3data.bodies.people.kernels.clips.joint_frames`, but only for these joints and with a
-    seventh of the memory.
+    The function computes the same as `h3data.bodies.people.kernels.clips.joint_frames`, but only for these joints and
+    with a seventh of the memory.
     """
     frames = np.zeros((len(quats), 2, 4, 4, 4))
     frames[..., 3, 3] = 1

@@ -90,14 +90,14 @@ class MotionGaits(Gaits):
     def stance(self, speed_mps: float) -> float:
         """Return the share of a cycle in which a foot is on the floor at a speed [m/s].
 
-        It is that of the captured cycle at speeds at which the cycle is used.
+        At speeds at which the captured cycle is used, the share is that of the cycle.
         """
         return self.cycle.stance if self.plays(speed_mps) else Gaits.stance(self, speed_mps)
 
     def strike(self, speed_mps: float) -> float:
         """Return the distance of a foot ahead of the pelvis at its strike, in strides, at a speed [m/s].
 
-        It is that of the captured cycle at speeds at which the cycle is used.
+        At speeds at which the captured cycle is used, the distance is that of the cycle.
         """
         return self.cycle.strike if self.plays(speed_mps) else Gaits.strike(self, speed_mps)
 

@@ -30,7 +30,7 @@ SWEEPS, STEPS = 20, 3
 LIKENESS = 0.35
 """Weight of the difference between the postures of neighbouring points."""
 UNIT = 1 / 8192
-"""Parameters are stored in whole units of this (int16): 0.2 mm, 0.007 degrees."""
+"""Unit in which parameters are stored as int16: 0.2 mm, 0.007 degrees."""
 EFFORT = np.array([50.0, 4, 40, 2.0, 0.7, 2.5, 0.45, 0.45, 0.60, 1.2, 1.2])
 """Weights of pelvis shift (per shoulder height squared), pelvis turn, spine and collar."""
 UPPER = np.array([9.0, 9, 9, 1.40, 0.60, 0.20, 1.30, 0.65, 0.55, 0.35, 0.38])

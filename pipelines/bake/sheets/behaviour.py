@@ -201,7 +201,7 @@ def follows_around_a_corner(recording: Recording, motion: Motion) -> list[Moment
 
 
 def shares_the_task(recording: Recording, motion: Motion) -> list[Moment]:
-    """Each of the two brings one object to its goal; they come within 1.5 m of each other and never touch."""
+    """Find where both agents bring an object to its goal, come within 1.5 m of each other and never touch."""
     done = [e for e in recording.events if e.kind == "place" and e.detail == "at its goal"]
     succeeded = any(e.kind == "success" for e in recording.events)
     if not succeeded or {e.agent for e in done} != {ROBOT, PERSON} or motion.touching.any() or motion.away.min() > 1.5:
@@ -242,7 +242,7 @@ def above(replay: Replay, motion: Motion, moment: Moment) -> CameraTrack:
 
 
 def film(recording: Recording, moment: Moment, camera: str, file: Path) -> int:
-    """Render a moment; returns the number of steps between frames."""
+    """Render a moment and return the number of steps between frames."""
     replay = Replay(recording, light="baked")
     every = max(-(-(moment.last - moment.first + 1) // FRAMES), 3)
     if camera == "above":

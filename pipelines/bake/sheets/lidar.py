@@ -25,7 +25,7 @@ NEARER_M = 0.08
 
 
 def picture(replay: Replay, scan: Scan, name: str) -> NDArray[np.uint8]:
-    """RGB [H, W, 3] of a camera with the points of a scan."""
+    """Return the picture of a camera with the points of a scan, RGB [H, W, 3]."""
     seen_from = camera_at(replay, name, STEP)
     track = CameraTrack(camera=seen_from, poses=seen_from.pose[None])
     shown = next(iter(replay.frames([track], [STEP], outputs=("rgb", "depth"))))[1][0]

@@ -38,7 +38,7 @@ def answer(state: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def requests() -> list[Request]:
-    """Play an episode with a server of this process; returns the pictures and chunks of all requests."""
+    """Play an episode with a server in this process; return the pictures and chunks of all requests."""
     seen: list[Request] = []
 
     def handle(connection: ServerConnection) -> None:

@@ -110,7 +110,7 @@ def read_hitl_episode(
       nobody was active is ``{}``: it repeats the state before it, its time lies between its neighbours', and the column
       ``recorded`` is False there.
     - Robots are shown by a built-in model at rest; people get a synthesised walk along their path
-      (`h3data_motion.walk_synthesis`); ``info["synthesised"]`` says so. ``agent_<i>.root_pose`` keeps the root of
+      (`h3data_motion.walk_synthesis`); ``info["synthesised"]`` states this. ``agent_<i>.root_pose`` keeps the root of
       people as logged.
     - ``user.user_<u>_camera`` [T, 7] is the view of user ``u`` in Habitat's camera frame (looks along -z), NaN where
       absent; ``input.user_<u>.held_object`` (``hovered_``, ``selected_``) the object ids, -1 = none; ``info["object_ids"]``
@@ -122,8 +122,10 @@ def read_hitl_episode(
 
     Args:
         path: the file.
-        assets: where the scene is searched; without it, or if the scene is not found, a marked floor is used.
-        quaternion_order: of agents and objects; habitat-lab writes xyzw. None infers it from the agents, who stand upright.
+        assets: Asset folders in which the scene is searched; without them, or if the scene is not found, a marked floor
+            is used.
+        quaternion_order: Order of the components of quaternions of agents and objects; habitat-lab writes xyzw. None
+            infers it from the agents, who stand upright.
 
     Raises:
         FormatError: the file is something else, truncated or damaged.

@@ -223,8 +223,9 @@ class HabitatHumanoid:
     ) -> None:
         """Walk one step towards ``target`` [3] [m] while facing ``look`` [3], both relative to the base, world axes.
 
-        habitat-hitl's ``calculate_walk_pose_directional``: walking backwards. It plays 30 frames/s whatever the speeds, and a
-        body that has to turn by more than `MIN_TURN_DEG` goes where it looks, by 5 cm at most.
+        This is habitat-hitl's ``calculate_walk_pose_directional``, for walking backwards. It plays 30 frames/s at any
+        speed. A body that has to turn by more than `MIN_TURN_DEG` moves in the direction in which it looks, by at most
+        5 cm.
         """
         aim = np.asarray(target, np.float64)
         left = float(np.linalg.norm(aim))
@@ -246,8 +247,8 @@ class HabitatHumanoid:
     def with_gait(self, forward_m: float, turn_rad: float) -> None:
         """Move the base by ``forward_m`` [m] and turn it by ``turn_rad``, and find the frame of the clip that fits.
 
-        habitat-hitl's ``translate_and_rotate_with_gait``. Moving backwards plays the clip backwards. The heading from which
-        later walks turn stays that of the last walk, as it does there.
+        This is habitat-hitl's ``translate_and_rotate_with_gait``. Moving backwards plays the clip backwards. The
+        heading from which later walks turn stays that of the last walk, as it does there.
         """
         forward = self.base[:3, 0].copy()
         heading = float(np.arctan2(forward[0], forward[2])) + turn_rad
@@ -379,8 +380,8 @@ def sequence_pose(clip: HabitatClip, frame: int, start: ArrayLike) -> tuple[Arra
 
     ``start`` [4, 4] is the base frame in which the sequence begins. The offset contains the displacement since then
     *and* the position of the start; habitat-lab multiplies it by the base frame, so there a sequence that does not
-    start at the world's origin is displaced. To place one rightly, use the offset with ``start`` at the origin below
-    the pose of your choice. Frames beyond either end are the first and last one.
+    start at the world's origin is displaced. To place a sequence correctly, use the offset with ``start`` at the origin
+    below the pose of your choice. Frames before the start and after the end are the first and the last frame.
     """
     frame = int(np.clip(frame, 0, len(clip.joints) - 1))
     root = np.array(clip.roots[frame], np.float64)

@@ -28,7 +28,7 @@ ON_WALL_M = 1e-9
 ANGLE_EPS = 1e-9
 """Sine of the angle by which a corner may lie outside a cone of view and still be seen."""
 TAUT_EPS = 1e-9
-"""Cross products [m2] below this count as collinear."""
+"""Cross product [m2] below which points count as collinear."""
 
 
 class Surface(NamedTuple):

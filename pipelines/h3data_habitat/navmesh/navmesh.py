@@ -236,7 +236,8 @@ def navmesh_from_free_space(
     Args:
         free_space: The floor.
         merge: True writes few polygons of up to six corners, whose outlines are within 3 cm of the floor's, as
-            habitat-sim needs for large homes (`h3data_habitat.navmesh.merging`). Else exact triangles (constrained Delaunay).
+            habitat-sim needs for large homes (`h3data_habitat.navmesh.merging`). False writes exact triangles
+            (constrained Delaunay).
         settings: Settings to record; by default those of the floor's agent.
     """
     area = plain_outline(free_space.polygon) if merge else free_space.polygon

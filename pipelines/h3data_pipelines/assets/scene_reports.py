@@ -95,7 +95,7 @@ def _load_without_missing(source: SceneSource) -> tuple[Scene, str]:
 def validate_scene(
     named: NamedScene, *, radius_m: float = AGENT_RADIUS_M, picture: Path | None = None
 ) -> dict[str, Any]:
-    """Find the problems of a scene, as JSON data; with ``picture``, also marks them on a floor plan (PNG)."""
+    """Find the problems of a scene, as JSON data; with ``picture``, also mark them on a floor plan (PNG)."""
     from h3data.render import write_png
     from h3data_pipelines.assets.scene_plan import scene_map
     from h3data_pipelines.validation.scenes import Problem, find_problems, free_space_for_validation

@@ -14,7 +14,7 @@ from h3data.bodies.people.look.patches import SHADE_UNIT, SHARE_UNIT, UNIT_M, ca
 from h3data.geometry import Array, normalized
 
 SNAP = 1e-4
-"""Vertices nearer to a border than this [m] count as beyond it: no slivers thinner than a tenth of a millimetre."""
+"""Distance from a border below which vertices count as beyond it [m], so that no slivers are thinner."""
 WEIGHT_UNIT = 1 / 255
 
 Field = Callable[[Cloth], Array]

@@ -33,7 +33,7 @@ from h3data.geometry import Array, normalized
 
 Collar = Literal["none", "rib", "shirt", "hood", "lapels"]
 FINE_M = 0.0172
-"""Edges of the full sheets that are longer than this [m] are halved."""
+"""Length above which edges of the full sheets are halved [m]."""
 HOLLOWS = {True: 130.0, False: 14.0}
 """Strength [1/m] with which hollows are darkened in full and in light meshes: the latter's neighbours are three times as far
 away, so a surface of the same curvature lies ten times as deep between them."""

@@ -130,7 +130,7 @@ class Round:
         self.radius: Any = gaussian_filter(radius, 0.7, mode=ROUND)
 
     def __call__(self, points: Array) -> Array:
-        """Distance of the surface of head and neck from the axis, at the height and azimuth of points [..., 3] [m]."""
+        """Return the distance of head and neck from the axis at the height and azimuth of points [..., 3] [m]."""
         from scipy.ndimage import map_coordinates
 
         rows, columns = self.radius.shape
