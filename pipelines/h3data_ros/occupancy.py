@@ -28,7 +28,8 @@ RECTANGLES_MAX = 100_000
 WALL_M = 2.5
 """Height of walls [m]."""
 CLOSED_M = 0.3
-"""Gaps in a floor up to this wide would be closed (`h3data.scene.freespace`), so that unknown cells there need a border [m]."""
+"""Largest width of gaps in a floor that would be closed (`h3data.scene.freespace`) [m]; unknown cells there need a
+border."""
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
 

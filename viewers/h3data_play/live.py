@@ -61,7 +61,7 @@ class PatientSink:
 
     def __init__(self, writer: RecordingWriter) -> None:
         self.writer, self.fault = writer, ""
-        """``fault``: why the disk does not take what waits; empty while it does."""
+        """``fault``: reason why the disk does not accept the waiting data; empty while it does."""
         self._info: dict[str, Any] | None = None
 
     def append(self, rows: dict[str, Any]) -> None:
@@ -234,7 +234,8 @@ class LiveGame:
         names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
         policies: dict[str, Any] = dict(names)
         self.waited_for: dict[int, Any] = {}
-        """Policies behind servers by agent: they decide beside the clock, and their commands are recorded as players' are."""
+        """Policies behind servers, by agent; the clock does not wait for them, and their commands are recorded like
+        those of players."""
         if plan.partner not in (None, "solo"):
             for k in (k for k in range(len(episode.roster)) if k not in table.numbers):
                 assigned = make_policy(table.task, episode, k, table.partner_of(episode, k))

@@ -75,7 +75,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         """Read a dataset that ``h3data export --to lerobot`` wrote.
 
         Args:
-            dataset: its folder.
+            dataset: folder of the dataset.
             scenes: homes of sampled episodes, as for `h3data.make` (default: those of the dataset).
             episodes: ``sampled``: new episodes under the rules of the dataset's first episode. ``recorded``: the
                 dataset's own, from their starts; ``reset(seed=k)`` starts episode k.
@@ -134,7 +134,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         self._walks: dict[int, PlantedWalk] = {}
         """Feet of each person, by number of the agent."""
         self.task_description = self._task.codec.instruction(self._first)
-        """The task in words, as policies that are conditioned on language have learned it."""
+        """Task in words, in the form with which language-conditioned policies were trained."""
         width = len(self.demonstrations.action_names)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (width,), np.float32)
         self.observation_space = self._space()

@@ -250,7 +250,7 @@ def drive_robots(
 ) -> RobotTensors:
     """Return the robots after ``action``: forward and turn [W, 2], or also sideways [W, 3].
 
-    It equals `sim_kinematic.motion.step.drive_robots`.
+    The result equals that of `sim_kinematic.motion.step.drive_robots`.
 
     No operation waits for the device, so no action is refused; a component that is not finite counts as 0.
     """

@@ -107,9 +107,9 @@ class ThingFinder:
         self.joints: list[Any] = []
         self.rooms: list[Mapping[str, Any]] = []
         self.articulated: dict[str, Mapping[str, Any]] = {}
-        """Our records of things that open, by path."""
+        """h3data's records of things that open, by path."""
         self.assets: dict[str, Mapping[str, Any]] = {}
-        """Our records of assets, by their key."""
+        """h3data's records of assets, by their key."""
         self.receptacles: dict[str, list[Any]] = {}
         self.notes: dict[str, None] = {}
         """Sentences on what was left out, in order."""

@@ -308,7 +308,7 @@ def read_whole(episode: ReportEpisode) -> Recording:
 
 
 def read_curves(folder: Path) -> dict[str, NDArray[np.float64]]:
-    """Read the numeric columns [N] of the training log in a folder, with ``step`` among them.
+    """Read the numeric columns [N] of the training log in a folder, including ``step``.
 
     Returns:
         Columns by name; empty if the folder holds neither `CURVES_FILE` nor `RUN_CURVES_FILE`.
