@@ -29,7 +29,7 @@ def _floating(value: ArrayLike) -> Array:
 
 
 def _components(vectors: Array, *others: Array) -> list[Any]:
-    """Components [...] of vectors [..., n], as views of the array.
+    """Return the components [...] of vectors [..., n], as views of the array.
 
     Those of a single float64 vector are Python floats, unless they are combined with ``others`` of another type. The
     bits of the results are the same, in a third of the time: a step of a person computes some twenty single
@@ -122,7 +122,7 @@ def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def _product(a: list[float], b: list[float]) -> tuple[float, float, float, float]:
-    """`quat_multiply` of two quaternions, bit for bit."""
+    """Return `quat_multiply` of two quaternions, bit for bit."""
     (ax, ay, az, aw), (bx, by, bz, bw) = a, b
     return (
         aw * bx + ax * bw + ay * bz - az * by,
@@ -151,7 +151,7 @@ def quat_rotate(q: ArrayLike, vectors: ArrayLike) -> Array:
 
 
 def _rotated(q: list[float], v: list[float]) -> tuple[float, float, float]:
-    """`quat_rotate` of one vector, bit for bit."""
+    """Return `quat_rotate` of one vector, bit for bit."""
     (ax, ay, az, w), (x, y, z) = q, v
     tx, ty, tz = 2 * (ay * z - az * y), 2 * (az * x - ax * z), 2 * (ax * y - ay * x)
     return x + w * tx + (ay * tz - az * ty), y + w * ty + (az * tx - ax * tz), z + w * tz + (ax * ty - ay * tx)
@@ -249,7 +249,7 @@ def quat_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def _quat_of_rows(rows: list[list[float]]) -> list[float]:
-    """`quat_from_matrix` of one matrix, bit for bit."""
+    """Return `quat_from_matrix` of one matrix, bit for bit."""
     (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = rows
     squares = (1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22, 1 + m00 + m11 + m22)
     best = squares.index(max(squares))

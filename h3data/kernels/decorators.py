@@ -114,7 +114,7 @@ def compiled_files() -> dict[str, int]:
 
 
 def _compile(dispatcher: Any, signature: Any) -> Any:
-    """numba's `Dispatcher.compile`, at most once per machine, and not at all where the machine code came along."""
+    """Run numba's `Dispatcher.compile`, at most once per machine, and not at all if the machine code was shipped."""
     with global_compiler_lock:  # taken before the file lock by everybody, so that threads cannot block each other
         types = tuple(sigutils.normalize_signature(signature)[0])
         if types not in dispatcher.overloads and not shipped.load(dispatcher, types):

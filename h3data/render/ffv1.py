@@ -115,7 +115,7 @@ def _record(slices: int) -> bytes:
 
 
 def _with_checksum(data: bytes) -> bytes:
-    """``data`` with a CRC of 32 bits after it, highest bit first and from 0, in which zlib's is the mirror image."""
+    """Return ``data`` with a CRC of 32 bits after it, highest bit first and from 0; zlib's is its mirror image."""
     # zlib starts from all ones and inverts the result, which is undone
     mirrored = (zlib.crc32(data.translate(_REVERSED), 0xFFFFFFFF) ^ 0xFFFFFFFF).to_bytes(4, "little")
     return data + mirrored.translate(_REVERSED)
@@ -183,7 +183,7 @@ class Ffv1Encoder:
 
 @kernel(boundscheck=False)
 def _code_header(decisions, out):
-    """Codes the decisions [N, 8] of the first lane; returns the number of bytes."""
+    """Code the decisions [N, 8] of the first lane; return the number of bytes."""
     sizes, coders = np.zeros(LANES, np.int64), _coders()
     traces = np.empty((len(decisions) + LANES, LANES), np.uint32), np.zeros(len(decisions) + LANES, np.uint8)
     _code(decisions, len(decisions), coders, traces, out.reshape(1, -1), sizes)
@@ -361,7 +361,7 @@ def _coders():
 
 @kernel_part(boundscheck=False)
 def _code(decisions, number, coders, traces, out, sizes):
-    """Codes ``number`` decisions of each lane; appends bytes with carries to ``out`` [8, N], with the ``sizes`` so far."""
+    """Code ``number`` decisions of each lane, and append bytes with carries to ``out`` [8, N] after ``sizes``."""
     uppers, marks = traces
     marks[number : number + LANES] = 0
     run_coders(
@@ -400,7 +400,7 @@ def _finish(coders, lane, out, size):
 
 
 def _memory(bits: int) -> tuple[Any, Any]:
-    """Functions that read and write a number of ``bits`` at an address."""
+    """Return the functions that read and write a number of ``bits`` at an address."""
 
     def read(typing_context, at):
         def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:

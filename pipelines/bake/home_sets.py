@@ -143,7 +143,7 @@ def chosen(split: Split) -> SceneSet:
 
 
 def _eased(spec: HomeSpec, failures: int) -> HomeSpec:
-    """The wish with the next seed and, after every second failure, one bathroom less."""
+    """Return the wish with the next seed, and with one bathroom less after every second failure."""
     bathrooms = max(1, (spec.bathrooms or 1) - failures // 2)
     return replace(spec, seed=spec.seed + failures, bathrooms=bathrooms)
 
@@ -160,7 +160,7 @@ def _set_of(split: Split, scenes: tuple[SceneEntry, ...]) -> SceneSet:
 
 
 def _fault(entry: SceneEntry, split: Split) -> str:
-    """Why the home cannot be taken; empty: it can."""
+    """Return the reason why a home cannot be used; empty if it can."""
     try:
         problems = validate_scene(NamedScene(name=entry.id, source=entry.source))["problems"]
         if problems:

@@ -110,7 +110,7 @@ def _steps(recording: Recording, time_s: np.ndarray) -> tuple[list[str], Iterabl
 
 
 def _labels(name: str, width: int, scalar: bool, agents: Sequence[Agent]) -> list[str]:
-    """CSV names of the numbers in a row of a column."""
+    """Return the names of the numbers in a row of a column, for CSV."""
     if scalar:
         return [name]
     owner, _, kind = name.partition(".")

@@ -180,7 +180,7 @@ def _model(name: str, asset: Asset, scale: NDArray[np.float64], semantic_id: int
 
 
 def _kind_name(name: str) -> str:
-    """``003_cracker_box`` is a ``cracker_box``."""
+    """Return the name of a kind, such as ``cracker_box`` for ``003_cracker_box``."""
     return _NUMBER.sub("", name) or name
 
 
@@ -197,7 +197,7 @@ def _volume_m3(asset: Asset, scale: NDArray[np.float64]) -> float:
 
 
 def _mass_of_kinbody(file: Path, volume_m3: float) -> float | None:
-    """Mass [kg] that OpenRAVE's ``<Mass>`` gives, in total or by density [kg/m3]; None if it gives none."""
+    """Return the mass [kg] that OpenRAVE's ``<Mass>`` gives, in total or by density [kg/m3]; None if it gives none."""
     data = file.read_bytes()
     # nested entities grow to gigabytes while they are read
     if len(data) > _MOST_XML or re.search(rb"<!(DOCTYPE|ENTITY)", data, re.IGNORECASE):
@@ -280,7 +280,7 @@ def _in_place_of(thing: Instance, box: NDArray[np.float64], model: ObjectModel, 
 
 
 def _world_box(asset: Asset, instance: Instance) -> NDArray[np.float64]:
-    """Axis-aligned box around an instance in the world, shape [2, 3] [m]."""
+    """Return the axis-aligned box around an instance in the world, shape [2, 3] [m]."""
     if not len(asset.mesh.vertices):
         return np.tile(instance.pose[:3], (2, 1))
     matrix = instance_matrix(instance)

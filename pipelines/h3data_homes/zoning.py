@@ -193,7 +193,7 @@ def _notches(ends: tuple[float, float], cut: float, depth: float) -> list[Rect]:
 def _spine_along(
     rng: np.random.Generator, width: float, depth: float, program: HomePreset, shape: str, share: float
 ) -> tuple[list[Tile], list[Rect]]:
-    """Public rooms on one side; a corridor leads away from them, with private rooms on both of its sides."""
+    """Return the public rooms on one side; a corridor leads away from them, with private rooms on both of its sides."""
     part = rng.uniform(0.40, 0.62)
     cut = width * part
     ends = _wing(rng, shape, part, depth, share)
@@ -219,7 +219,7 @@ def _spine_along(
 def _spine_across(
     rng: np.random.Generator, width: float, depth: float, program: HomePreset, shape: str, share: float
 ) -> tuple[list[Tile], list[Rect]]:
-    """Public rooms, a corridor alongside them, and one row of private rooms behind it."""
+    """Return the public rooms, a corridor alongside them, and one row of private rooms behind it."""
     part = rng.uniform(0.42, 0.56)
     cut = width * part
     ends = _wing(rng, shape, part, depth, share)

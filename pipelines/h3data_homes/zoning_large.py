@@ -263,7 +263,7 @@ def _cells_2(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
 def _grouped(
     rng: np.random.Generator, cells: Sequence[_Cell], depth: float, scale: float, wide: tuple[float, float]
 ) -> list[_Unit]:
-    """Cells large enough to span the depth of a row, and groups of the others.
+    """Return the cells large enough to span the depth of a row, and groups of the others.
 
     Groups have a width in the range ``wide`` [m] and lie around branch corridors.
     """

@@ -83,7 +83,7 @@ class LightField:
         return LightAt(direction, np.minimum(share, MOST), reach, cube.mean(1))
 
     def _interpolated(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Cubes [N, 6, 3] and reaches [N], from the points of the grid around each that are in the open."""
+        """Return cubes [N, 6, 3] and reaches [N], from the grid points around each point that are in the open."""
         shape = np.array(self.reach_m.shape)
         place = np.clip((points - self.origin) / self.spacing_m - 0.5, 0, np.maximum(shape - 1, 0))
         low = np.minimum(place.astype(int), np.maximum(shape - 2, 0))

@@ -114,7 +114,7 @@ def refine(heap: Heap, light_at: LightAt, *, mean: float, lit: NDArray[np.bool_]
 
 
 def _light_new(heap: Heap, faces: NDArray[np.int64], light_at: LightAt) -> None:
-    """Light of the vertices of ``faces``."""
+    """Return the light of the vertices of ``faces``."""
     corners = heap.world[faces, :3]
     offset = (corners.mean(1)[:, None] - corners).reshape(-1, 3)
     sums = [np.bincount(faces.ravel(), offset[:, a], len(heap.vertices)) for a in range(3)]
@@ -124,7 +124,7 @@ def _light_new(heap: Heap, faces: NDArray[np.int64], light_at: LightAt) -> None:
 
 
 def _direction(offset: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors of offsets [n, 3], 0 for those without length."""
+    """Return the unit vectors of offsets [n, 3], 0 for those without length."""
     length = np.linalg.norm(offset, axis=1, keepdims=True)
     return np.where(length > 1e-4, offset / np.maximum(length, 1e-9), 0.0)
 
@@ -132,7 +132,10 @@ def _direction(offset: NDArray[np.float64]) -> NDArray[np.float64]:
 def _cut_edges(
     heap: Heap, faces: NDArray[np.int64], light_at: LightAt, mean: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Which edges of each face are cut and the vertices at their middle, each [F, 3]; edge k goes from corner k to k + 1."""
+    """Return which edges of each face are cut, and the vertices at their middle, each [F, 3].
+
+    Edge k goes from corner k to k + 1.
+    """
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     count = len(heap.vertices)
     keys, back = np.unique(ends[:, 0] * count + ends[:, 1], return_inverse=True)
@@ -204,7 +207,7 @@ def _children(
 
 
 def _smooth(heap: Heap) -> None:
-    """Vertices without light, which lie in other surfaces, take that of their neighbours; then light is smoothed a little.
+    """Give vertices without light, inside other surfaces, that of their neighbours, and smooth the light a little.
 
     Vertices with equal positions and normals count as one.
     """

@@ -108,7 +108,10 @@ def _mark(triangles, colors, glass, distance, sums):
 
 
 def _reachable(free: NDArray[np.bool_], *, lamps: NDArray[np.float64], cell_m: float) -> NDArray[np.bool_]:
-    """Free voxels but those of hollows: closed, smaller than `_HOLLOW_M3` and without a lamp (positions [L, 3])."""
+    """Return the free voxels except those of closed hollows, smaller than `_HOLLOW_M3`, without a lamp.
+
+    ``lamps`` are positions [L, 3].
+    """
     from scipy.ndimage import label
 
     parts: NDArray[np.int32] = np.empty(free.shape, np.int32)

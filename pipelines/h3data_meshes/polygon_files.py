@@ -137,7 +137,7 @@ def _picked(values: Array, cut: NDArray[np.int64], size: int) -> Array:
 
 
 def _has_polygons(body: bytes, form: str, elements: list[_Element], face: _Element, corners_at: int) -> bool:
-    """False if all faces are triangles, as in most large files; binary ones are not read row by row for that."""
+    """Return False if all faces are triangles, as in most large files; binary files are not read row by row for it."""
     before = elements[: elements.index(face)]
     if form == "ascii":
         start = sum(e.count for e in before)

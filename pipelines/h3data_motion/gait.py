@@ -281,7 +281,7 @@ def _roll(legs: Legs, pitch: Array) -> Array:
 
 
 def _flight(own: Array, stance: float, strike_m: float, stride_m: float) -> Array:
-    """`Cycle.flight` of a foot's ankle over its own phase [F, 3] [m]."""
+    """Return `Cycle.flight` of a foot's ankle over its own phase [F, 3] [m]."""
     u = np.linspace(0, 1, 49)
     place = _sampled(own, stance + u * (1 - stance) * (1 - 1e-9))
     line = strike_m - stride_m * stance * (1 - u * u * (3 - 2 * u))

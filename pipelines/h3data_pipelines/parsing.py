@@ -316,7 +316,7 @@ def _first_example(command: type[Command]) -> str:
 
 @_registry.primitive_rule
 def _typed(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Numbers, texts and paths in help; None is not among them, as it only means that the option is not given."""
+    """Return the numbers, texts and paths in help, without None, which only means that the option is not given."""
     kinds = [kind for kind in get_args(info.type) or (info.type,) if kind is not NoneType]
     if len(set(kinds)) != 1 or kinds[0] not in KINDS:
         return None

@@ -306,7 +306,7 @@ class RemotePolicy:
 
 
 def _joined(requests: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Nested requests of one world each as one of all, along the first axis of arrays and lists."""
+    """Return nested requests of one world each as a request of all, along the first axis of arrays and lists."""
     first = requests[0]
     joined: dict[str, Any] = {}
     for key, value in first.items():

@@ -272,7 +272,7 @@ class Sessions:
 
 
 def _converse(connection: ServerConnection, sessions: Sessions, metadata: bytes) -> None:
-    """Answer one client until it goes, or send what cannot be answered."""
+    """Answer one client until it leaves, or send what cannot be answered."""
     connection.send(metadata)
     nameless, total_ms = sessions.player(), None
     while True:

@@ -535,7 +535,7 @@ class _Export:
         )
 
     def _joints(self) -> dict[str, NDArray[np.float64]]:
-        """Poses in ``map`` [T, 7] of the joints of people with a built-in body, by frame: as replays pose them."""
+        """Return poses in ``map`` [T, 7] of the joints of people with a built-in body, by frame, as in replays."""
         found = dict[str, NDArray[np.float64]]()
         people = [person for person in self._people if self._recording.agents[person.number].model]
         try:
@@ -555,7 +555,7 @@ class _Export:
         return found
 
     def _things(self) -> dict[str, NDArray[np.float64]]:
-        """Poses in ``map`` [T, 7] of the things that move in the recording, by frame."""
+        """Return the poses in ``map`` [T, 7] of the things that move in the recording, by frame."""
         poses = self._recording.columns.get("object_pose", np.zeros((len(self._times), 0, 7)))
         bodies = [
             body for body in self._recording.moving_bodies if (poses[:, body.moving] != poses[:1, body.moving]).any()
@@ -588,7 +588,7 @@ class _Export:
         return _Described(urdf, robot_links(model, joints, prefix))
 
     def _command(self, robot: _Mover, step: int) -> tuple[float, float] | None:
-        """Commanded speed [m/s] and turn [rad/s] that led to a row, None if the recording does not tell them in these units."""
+        """Return the commanded speed [m/s] and turn [rad/s] that led to a row; None if they were not recorded."""
         agent, action = self._recording.agents[robot.number], f"agent_{robot.number}.action"
         spec = self._recording.episode.info.get("spec")
         body = spec.get("robot") if isinstance(spec, Mapping) else None

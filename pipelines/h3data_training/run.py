@@ -208,7 +208,7 @@ class _Run:
         say(f"{self.settings.worlds} worlds on {about} after {self.setup_s:.0f} s")
 
     def elapsed(self) -> float:
-        """Seconds of this call."""
+        """Return the seconds of this call."""
         return time.time() - self.job.began
 
     @property
@@ -286,7 +286,10 @@ class _Run:
 
     # --- files ------------------------------------------------------------------------------------------------------------
     def _save(self, *, is_last: bool) -> None:
-        """Checkpoint, curve and policy, each whole or not at all. A disk that is full ends the run only at its end."""
+        """Save checkpoint, curve and policy, each completely or not at all.
+
+        A full disk ends the run only at its end.
+        """
         kept = {
             "format": checkpoints.FORMAT,
             "settings": self.settings.as_dict(),

@@ -42,7 +42,7 @@ advance."""
 
 @kernel(error_model="numpy")
 def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, free, tight, within, fade, step):
-    """One step of all arms [W, 2], in place: each goes by at most ``rate`` towards how far its line asks for, 0..1.
+    """Move all arms [W, 2] by one step in place, each by at most ``rate`` towards the value for its line, 0..1.
 
     Distances differ by no more than the path between two points, so where there is room a line is followed by as much. What
     it asks for is the most of its looks. A line is left as soon as no further look can change the arm.

@@ -490,7 +490,7 @@ def aside_distance_m(a: Body, b: Body) -> float:
 
 
 def _size_beyond_default(body: Body) -> float:
-    """By how much a robot extends farther from its origin than ``quad_arm`` [m], for which the distances were tuned."""
+    """Return by how much a robot extends farther from its origin than ``quad_arm``, the reference of distances [m]."""
     return body.footprint.extent_m - AVOIDANCE.robot.extent_m if body.is_robot else 0.0
 
 

@@ -324,7 +324,10 @@ def facing(xz: Any, heading: Any, other_xz: Any, *, xp: Any = np) -> Any:
 
 @kernel(error_model="numpy")
 def _facing(gap, heading):
-    """Cosines [N] between headings [N or 1] and vectors [N, 2]; compiled: every step of social navigation asks for one."""
+    """Return cosines [N] between headings [N or 1] and vectors [N, 2].
+
+    The function is compiled, because every step of social navigation calls it.
+    """
     out, last = np.empty(len(gap)), len(heading) - 1
     for n in range(len(gap)):
         dx, dz, angle = gap[n, 0], gap[n, 1], heading[min(n, last)]

@@ -334,7 +334,7 @@ class _Played:
             self._keep(task, recording, rows)
 
     def _keep(self, task: Task, recording: Recording, rows: int) -> None:
-        """Columns, skills and events of people as recorded, as far as the task says."""
+        """Store the columns, skills and events of recorded people, as far as the task selects them."""
         people = _numbers(recording, "human")
         # in social_nav ``sim.`` are the goal and the leg of the person's script
         prefixes = ("sim.", *(f"agent_{k}." for k in people))

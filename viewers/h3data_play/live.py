@@ -192,7 +192,7 @@ class EpisodeFactory:
 
 
 def _unfinished(part: Path, saved: Path) -> Recording | None:
-    """Steps that were played of an unfinished episode, from its log or from an earlier attempt to restore it.
+    """Return the steps that were played of an unfinished episode, from its log or from an earlier attempt.
 
     They are stored in ``saved`` until they are in the log again.
 
@@ -468,7 +468,7 @@ class LiveGame:
         return session.close({**ended, "hitl": {**hitl, "slipped": self.slipped, **said}, **facts, **(info or {})})
 
     def _let_go(self) -> dict[str, Any]:
-        """Ends the conversations with servers; returns what the recording says about them."""
+        """End the conversations with servers; return what the recording says about them."""
         found: dict[str, Any] = {}
         for policy in self.waited_for.values():
             for name, facts in policy.recorded_info().items():

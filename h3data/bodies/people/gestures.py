@@ -106,7 +106,7 @@ RAISED = 0.38
 
 
 def _keys() -> tuple[Array, NDArray[np.int64], Array]:
-    """Places, counts and numbers of all gestures as the kernel takes them."""
+    """Return the places, counts and numbers of all gestures as the kernel takes them."""
     sides = [side for gesture in GESTURES.values() for side in (gesture.left, gesture.right)]
     places = np.zeros((len(sides), max(map(len, sides)), 4))
     for row, side in zip(places, sides, strict=True):
@@ -212,6 +212,6 @@ def lead_wrists(
 
 
 def _lead(body: Humanoid, quats: Array, pelvis: Array, hands: Array, *rest: Any) -> None:
-    """Calls the kernel, whose last arguments are ``rest``."""
+    """Call the kernel, whose last arguments are ``rest``."""
     left, right = (reacher(body, hand).body for hand in BOTH)
     lead_all(left, right, quats, pelvis, hands, *rest)

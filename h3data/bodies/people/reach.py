@@ -366,7 +366,7 @@ def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
 
 
 def _standing(body: Humanoid) -> tuple[Array, Array]:
-    """Local rotations [55, 4] and joint frames [55, 4, 4] of standing, in the body frame."""
+    """Return the local rotations [55, 4] and joint frames [55, 4, 4] of standing, in the body frame."""
     quats, pelvis = body.clip_pose([0], [0.0])
     back = quat_conjugate(ROOT_OF_BODY)
     quats[:, 0] = quat_multiply(back, quats[:, 0])
@@ -375,7 +375,7 @@ def _standing(body: Humanoid) -> tuple[Array, Array]:
 
 
 def _hanging_pole(body: Humanoid, frames: Array, hand: Hand, sign: float) -> Array:
-    """The elbow direction [3] of the standing arm in the chest frame, so that the kernel gives back the standing pose."""
+    """Return the elbow direction [3] in the chest frame with which the kernel gives the standing pose."""
     shoulder, wrist = frames[JOINT_INDEX[f"{hand}_shoulder"]], frames[JOINT_INDEX[f"{hand}_wrist"]]
     palm = wrist[:3, :3] @ grasp_point(body, hand) + wrist[:3, 3]
     along = (palm - shoulder[:3, 3]) / np.linalg.norm(palm - shoulder[:3, 3])

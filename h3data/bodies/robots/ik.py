@@ -134,7 +134,7 @@ def solve_ik(
 
 
 def _targets(robot: Robot, target: ArrayLike, base_pose: ArrayLike | None) -> tuple[NDArray, bool, tuple[int, ...]]:
-    """Targets [N, 4, 4] in the URDF base frame, whether their orientation counts, and their batch shape."""
+    """Return the targets [N, 4, 4] in the URDF base frame, whether their orientation counts, and their batch shape."""
     wanted = np.asarray(target, np.float64)
     if wanted.shape[-1:] not in ((3,), (7,)) or not np.isfinite(wanted).all():
         raise InputError(

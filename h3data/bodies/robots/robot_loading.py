@@ -160,7 +160,7 @@ def _read(path: Path, *, allow_missing: bool = True) -> Urdf:
 
 
 def _reader(path: Path) -> RobotReader | None:
-    """Reader of a file by its suffix; None for URDF."""
+    """Return the reader of a file by its suffix; None for URDF."""
     suffix = path.suffix.lower()
     return READERS.get(suffix[1:]) if suffix in DESCRIPTIONS[1:] else None
 

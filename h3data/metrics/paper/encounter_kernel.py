@@ -112,7 +112,7 @@ def fill_series(robot_pose, human_pose, reach_m, time_ns, starts, limits, quanti
 
 
 def _columns(b, address, first):
-    """Four columns, from ``first`` on, of eight rows of seven float32 at ``address``, as float64."""
+    """Return four columns, from ``first`` on, of eight rows of seven float32 at ``address``, as float64."""
     kind = ir.VectorType(FLOAT, 4)
     halves = [load(b, address, 28 * row + 4 * first, kind) for row in range(LANES)]
     rows = [pick(b, halves[k], halves[k + 4], range(LANES)) for k in range(4)]

@@ -225,7 +225,7 @@ class DatasetFolder:
 
 
 def _chain_faults(table: pa.Table) -> list[str]:
-    """Gaps and overlaps between the episodes of an episode table: no episode is ever lost silently."""
+    """Return the gaps and overlaps between the episodes of an episode table: no episode is ever lost silently."""
     index, length, start, end = (
         numbers(table[n].combine_chunks())
         for n in ("episode_index", "length", "dataset_from_index", "dataset_to_index")

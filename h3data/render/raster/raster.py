@@ -206,7 +206,7 @@ def _clear(target, width, height):
 
 @kernel_part()
 def _clear_tiles(target, width, height):
-    """`_clear` for the tiles that are drawn; the others hide everything."""
+    """Clear the tiles that are drawn, as `_clear` does; the others hide everything."""
     for ty in range(target.tile_drawn.shape[0]):
         for tx in range(target.tile_drawn.shape[1]):
             target.tile_stale[ty, tx] = 0
@@ -222,7 +222,7 @@ def _clear_tiles(target, width, height):
 
 @kernel_part()
 def _mark_tiles(geometry, placement, target, changed):
-    """Marks the tiles of the draws of changed instances."""
+    """Mark the tiles of the draws of changed instances."""
     draws, drawn, first = target.draws, target.tile_drawn, 0
     for i in range(len(changed)):
         mesh = placement.mesh[i]
@@ -251,7 +251,7 @@ def _cut_far(view, target):
 # --- frustum --------------------------------------------------------------------------------------------------------
 @kernel_part(forceinline=True)
 def _outside(planes, center, half, box):
-    """Returns whether a box lies entirely behind one of the 5 planes [5, 4]; NaN counts as outside."""
+    """Return whether a box lies entirely behind one of the 5 planes [5, 4]; NaN counts as outside."""
     for k in range(5):
         distance = planes[k, 3]
         for a in range(3):
@@ -264,7 +264,7 @@ def _outside(planes, center, half, box):
 
 @kernel_part(forceinline=True)
 def _pixel_span(middle, extent, near, far, focal, principal, size):
-    """Range of pixel coordinates covered by a camera-space interval at depths near..far, clipped to the image."""
+    """Return the range of pixels covered by a camera-space interval at depths near..far, clipped to the image."""
     low, high = middle - extent, middle + extent
     # what is left of the middle reaches farthest when it is near, what is right of it when it is far
     low = low / (near if low < 0 else far) * focal + principal
@@ -275,7 +275,7 @@ def _pixel_span(middle, extent, near, far, focal, principal, size):
 
 @kernel_part()
 def _place(i, matrix, view, target, planes):
-    """Fills an instance's matrices to camera space and to pixels, and the frustum planes in its mesh's frame."""
+    """Fill an instance's matrices to camera space and to pixels, and the frustum planes in its mesh's frame."""
     fx, fy, cx, cy = view.intrinsics
     to_camera, to_pixel = target.camera_from_mesh[i], target.pixel_from_mesh[i]
     for c in range(4):
@@ -296,7 +296,7 @@ def _place(i, matrix, view, target, planes):
 
 @kernel_part()
 def _place_parallel(i, view, target, planes):
-    """Adapts the result of `_place` to an orthographic camera, whose pixels do not depend on z.
+    """Adapt the result of `_place` to an orthographic camera, whose pixels do not depend on z.
 
     Kept apart from `_place`, so that its loop stays four columns in one vector.
     """
@@ -311,7 +311,7 @@ def _place_parallel(i, view, target, planes):
 
 @kernel_part()
 def _collect(geometry, placement, view, target):
-    """Fills the draws inside the frustum, their tiles and smallest z; returns their numbers."""
+    """Fill the draws inside the frustum, their tiles and smallest z; return their numbers."""
     fx, fy, cx, cy = view.intrinsics
     width, height = float(view.width), float(view.height)
     draws, near, center, half = target.draws, target.near, geometry.center, geometry.half
@@ -365,7 +365,7 @@ def _collect(geometry, placement, view, target):
 
 @kernel_part()
 def _front_to_back(near, listed):
-    """The listed draws by smallest z (counting sort, which is stable, so that images are reproducible)."""
+    """Return the listed draws by smallest z (counting sort, which is stable, so that images are reproducible)."""
     furthest = np.float32(1e-6)
     for draw in listed:
         furthest = max(furthest, near[draw])
@@ -387,7 +387,7 @@ def _front_to_back(near, listed):
 
 @kernel_part()
 def _same_order(order, target, changed):
-    """Returns whether all instances other than the changed ones are drawn in the same order as before."""
+    """Return whether all instances other than the changed ones are drawn in the same order as before."""
     k, count = 0, len(target.order)
     for draw in order:
         if changed[target.draws[draw, INSTANCE]]:

@@ -51,7 +51,7 @@ def fill_small(table, boxes, lane, inv_z_at, words_at, stride, word):
 
 @kernel_part(forceinline=True, error_model="numpy")
 def _cut(low, high, edge, step, minus_inverse):
-    """The part of the span low..high where ``edge + step * x >= 0``.
+    """Return the part of the span low..high where ``edge + step * x >= 0``.
 
     A zero step makes the crossing infinite or NaN; comparisons with NaN are false, which leaves the span unchanged.
     """

@@ -113,7 +113,7 @@ def _largest(v: list[Vec]) -> Vec:
 
 
 def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at: Any, *, parallel: bool) -> Any:
-    """See `setup_triangles`."""
+    """Emit the code of a set-up, as `setup_triangles` describes."""
     m = [spread(b, matrix_at, k) for k in range(12)]
     screen = [spread(b, screen_at, k) for k in range(SCREEN_WORDS)]
     center_x, center_y, width, height = screen

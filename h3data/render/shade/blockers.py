@@ -119,12 +119,12 @@ def blocker_rows(
 
 
 def _range_m(radius: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Distance from the axis beyond which a capsule occludes nothing, by its radius [m]."""
+    """Return the distance from the axis beyond which a capsule occludes nothing, by its radius [m]."""
     return 4.0 * radius + 0.12
 
 
 def _spheres(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Spheres that enclose all that each capsule may darken, centre and radius, shape [N, 4, 4].
+    """Return the spheres that enclose all that each capsule may darken, centre and radius, shape [N, 4, 4].
 
     The first lies around the capsule, the other three along its shadow.
     """
@@ -223,7 +223,7 @@ def _compare_tiles(earlier, listed_earlier, first, listed, same, changed):
 
 
 def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
-    """Boxes on the screen around the spheres of each capsule [N, S, 4], as [N, 6].
+    """Return the boxes on the screen around the spheres of each capsule [N, S, 4], as [N, 6].
 
     A box reaches from x, y [px] and 1/z to x, y and 1/z; it is 1e9 to 0 if no sphere is visible.
     """
@@ -254,7 +254,7 @@ def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray
 
 @kernel(error_model="numpy", boundscheck=False)
 def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
-    """Lists the capsules of every tile by the space that is seen in it; returns the length of all lists together.
+    """List the capsules of every tile by the space that is seen in it; return the length of all lists together.
 
     ``seen`` [n, 6] (`_on_screen`) is that of the capsules ``index`` [n].
     """
@@ -296,7 +296,7 @@ def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
 
 @kernel_part()
 def _around_tile(view, factor, x0, x1, y0, y1, near, far):
-    """A sphere around all points of a tile between two distances: x, y, z, radius."""
+    """Return a sphere around all points of a tile between two distances: x, y, z, radius."""
     fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
     # the sphere around a box around the eight corners: loose, but only a filter before the exact kernels
     low, high = (1e9, 1e9, 1e9), (-1e9, -1e9, -1e9)
@@ -318,7 +318,7 @@ def _around_tile(view, factor, x0, x1, y0, y1, near, far):
 
 @kernel_part(forceinline=True)
 def _matters(rows, n, around):
-    """Which light a capsule may take from points in a sphere; the distances are those of `blockers_simd.block_block`."""
+    """Return which light a capsule may take from points in a sphere, by distances of `blockers_simd.block_block`."""
     px, py, pz = around[0] - rows[n, START], around[1] - rows[n, START + 1], around[2] - rows[n, START + 2]
     ax, ay, az = rows[n, ALONG], rows[n, ALONG + 1], rows[n, ALONG + 2]
     lx, ly, lz = rows[n, LIGHT], rows[n, LIGHT + 1], rows[n, LIGHT + 2]

@@ -73,7 +73,7 @@ def _constant(b: Any, value: float) -> Vec:
 
 
 def _any_positive(b: Any, *values: Vec) -> Any:
-    """Returns whether all ``values`` are above 0 in one of the lanes at least, as a condition for ``if_then``."""
+    """Return whether all ``values`` are above 0 in one of the lanes at least, as a condition for ``if_then``."""
     least = functools.reduce(Vec.minimum, values)
     return b.icmp_unsigned("!=", least.compare(">", 0.0).bits(0), ir.Constant(INT, 0))
 
@@ -111,7 +111,7 @@ def _from_start(b: Any, blocker_at: Any, scratch_at: Any) -> Triple:
 
 
 def _take(b: Any, taken: Vec, blocker_at: Any, owners_at: Any, scratch_at: Any, row: int) -> None:
-    """Multiplies a row of the scratch space by what is left, except for pixels of the capsule's own group."""
+    """Multiply a row of the scratch space by what is left, except for pixels of the capsule's own group."""
     own = Vec(b, load(b, owners_at)).compare("==", spread(b, blocker_at, GROUP))
     # 1 - taken: vectors have no number on the left of an operator
     left = (-(taken - 1.0)).where(~own, 1.0)

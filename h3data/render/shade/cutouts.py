@@ -113,7 +113,7 @@ def has_holes(opacity: NDArray[np.uint8]) -> bool:
 
 @kernel_part(forceinline=True)
 def _texel_before(coordinate, size):
-    """The texel whose centre lies just before a coordinate [repeats], and the fraction beyond it.
+    """Return the texel whose centre lies just before a coordinate [repeats], and the fraction beyond it.
 
     Always within the texture, even for NaN and infinite coordinates.
     """

@@ -49,7 +49,7 @@ EDGE, EDGE_ROWS = 8, 2
 
 
 def _offsets() -> NDArray[np.float64]:
-    """Taps on the unit disc for every pixel of a 4x4 square, repeated to 8 lanes, shape [4 rows, TAPS, x y, 8].
+    """Return a tap on the unit disc for every pixel of a 4x4 square, repeated to 8 lanes, shape [4 rows, TAPS, x y, 8].
 
     A spiral, rotated and slightly scaled from pixel to pixel by an ordered dither, in which neighbours differ strongly;
     denser towards the centre, to resolve contacts.
@@ -79,7 +79,7 @@ class Occlusion(NamedTuple):
 
 
 def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.float32]:
-    """The words shared by all blocks (see `occlusion_simd`); coarse pixel k is the target's pixel ``factor * k``."""
+    """Return words that all blocks share (`occlusion_simd`); coarse pixel k is the target's pixel ``factor * k``."""
     fx, fy, cx, cy = view.intrinsics
     afar = RECEDED_M if view.parallel else 1.0
     table = np.zeros(TABLE_WORDS, np.float32)
@@ -125,7 +125,7 @@ def occlude(view: View, target: Target, samples: int, *, before: Occlusion | Non
 
 @kernel(error_model="numpy", boundscheck=False)
 def _occlude(source, drawn, factor, height, width, table, out, again):
-    """Fills ``out``, or, with ``again``, what depends on the tiles that were drawn."""
+    """Fill ``out``, or with ``again`` only the part that depends on the tiles that were drawn."""
     inv_z, planes, scratch, changed = out
     row = inv_z.shape[1]
     row_bytes, plane_bytes = np.uintp(row * 4), np.uintp(inv_z.size * 4)
@@ -209,7 +209,10 @@ def _occlude(source, drawn, factor, height, width, table, out, again):
 
 @kernel_part()
 def _changed_sums(changed, again):
-    """Number of changed pixels above and left of each pixel, shape [H + 1, W + 1]; [1, 1] if nothing was there before."""
+    """Return the number of changed pixels above and left of each pixel, shape [H + 1, W + 1].
+
+    The result is [1, 1] if there was no image before.
+    """
     if not again:
         return np.zeros((1, 1), np.int32)
     height, width = changed.shape
@@ -224,7 +227,7 @@ def _changed_sums(changed, again):
 
 @kernel_part()
 def _reaches_changed(sums, inv_z, table, x, y, count):
-    """Returns whether a changed pixel lies within the disc of taps and slopes of ``count`` pixels from (x, y)."""
+    """Return whether a changed pixel lies within the disc of taps and slopes of ``count`` pixels from (x, y)."""
     nearest = np.float32(0)
     for k in range(count):
         nearest = max(nearest, inv_z[y + EDGE_ROWS, x + k + EDGE])
@@ -240,7 +243,7 @@ def _reaches_changed(sums, inv_z, table, x, y, count):
 
 @kernel_part()
 def _clear_edges(planes, height, width):
-    """Sets the padding to no occlusion, on planes that match no pixel."""
+    """Set the padding to no occlusion, on planes that match no pixel."""
     for k in range(4):
         # an endless sharpness: whatever 1/z a pixel has, it is not on this plane
         value = np.float32(FAR_PADDING if k == 2 else 0)

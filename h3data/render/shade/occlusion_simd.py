@@ -54,7 +54,7 @@ def _slope(b: Any, before2: Vec, before: Vec, middle: Vec, after: Vec, after2: V
 def _emit_occlusion(
     b: Any, inv_z_at: Any, z_at: Any, planes_at: Any, plane_bytes: Any, x: Any, y: Any, row: Any, table_at: Any
 ) -> None:
-    """See `occlusion_block`."""
+    """Emit the code of occlusion, as `occlusion_block` describes."""
     offset = b.shl(b.add(b.mul(y, row), x), ir.Constant(x.type, 2))
     row_bytes = b.shl(row, ir.Constant(x.type, 2))
     here = b.add(inv_z_at, offset)
@@ -136,7 +136,7 @@ def occlusion_block(typing_context, inv_z_at, z_at, planes_at, plane_bytes, x, y
 
 
 def _likeness(nearness: Vec, expected: Vec, sharpness: Vec) -> Vec:
-    """1 where a pixel's nearness is the ``expected`` nearness of a plane, falling to 0 at `SAME_SURFACE_M` off the plane."""
+    """Return 1 for the ``expected`` nearness of a plane, falling to 0 at `SAME_SURFACE_M` off the plane."""
     return (-((nearness - expected).unary("fabs") * sharpness - 1.0)).maximum(0.0)
 
 
@@ -179,7 +179,7 @@ def _emit_dimming(
     half_row: Any,
     strength: Any,
 ) -> None:
-    """See `dim_block`."""
+    """Emit the code of dimming, as `dim_block` describes."""
     rows = [ir.Constant(lower_bytes.type, 0), lower_bytes]
     amount_at = b.add(planes_at, b.mul(plane_bytes, ir.Constant(plane_bytes.type, 3)))
     raw = [load(b, b.add(amount_at, row)) for row in rows]

@@ -402,7 +402,7 @@ def _shade_image(
 
 @kernel_part()
 def _dim_waiting(cast, tile, rays, behind, waiting, scratch, places, count, strip):
-    """Dims ``count`` samples by the capsules of a tile and adds them to their pixels of a strip."""
+    """Dim ``count`` samples by the capsules of a tile, and add the samples to their pixels of a strip."""
     if count:
         near_at, at, row_bytes = (
             np.uintp(behind.ctypes.data),
@@ -417,7 +417,7 @@ def _dim_waiting(cast, tile, rays, behind, waiting, scratch, places, count, stri
 
 @kernel_part()
 def _fine_row_words(geometry, surface, target, patches, y, row, width):
-    """Fills the words of an image row [W]: of one of the four samples where they show one surface, else `_MIXED`."""
+    """Fill the words of an image row [W]: of one of the four samples where they show one surface, else `_MIXED`."""
     words, inv_z = target.words, target.inv_z
     for x in range(width):
         word = words[2 * y, 2 * x]
@@ -451,7 +451,10 @@ def _patch_of(geometry, surface, target, patches, word):
 
 @kernel_part()
 def _normal_matrices(matrices):
-    """Cofactors [I, 3, 3] of the 3x3 parts, which transform normals correctly under any scale, up to length and sign."""
+    """Return the cofactors [I, 3, 3] of the 3x3 parts.
+
+    They transform normals correctly under any scale, up to length and sign.
+    """
     out = np.empty((len(matrices), 3, 3))
     for i in range(len(matrices)):
         m = matrices[i]
@@ -465,7 +468,7 @@ def _normal_matrices(matrices):
 
 @kernel_part(forceinline=True)
 def _tint(word, slot, cache, cast, target):
-    """Multiplies the colours of a cached triangle by its instance's tint."""
+    """Multiply the colours of a cached triangle by its instance's tint."""
     if cast.tints.size:
         instance = target.draws[word >> 7, INSTANCE]
         attributes = cache.attributes[slot]
@@ -477,7 +480,7 @@ def _tint(word, slot, cache, cast, target):
 # --- runs of pixels -------------------------------------------------------------------------------------------------
 @kernel_part(forceinline=True)
 def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, axes, light, block, coordinates, strip):
-    """Lights pixels low..end of a strip, which see one triangle; the ray of the pixel ``begin`` is (u, v, 1)."""
+    """Light pixels low..end of a strip, which see one triangle; the ray of the pixel ``begin`` is (u, v, 1)."""
     _, planes, attributes, levels = cache
     row_bytes = np.uintp(strip.shape[1] * 4)
     strip_at = np.uintp(strip.ctypes.data)
@@ -520,7 +523,7 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, axes, light
 
 @kernel_part(forceinline=True)
 def _sky_run(u, v, step, begin, low, end, axes, light, block, strip):
-    """Fills background pixels low..end of a strip; the ray of the pixel ``begin`` is (u, v, 1)."""
+    """Fill background pixels low..end of a strip; the ray of the pixel ``begin`` is (u, v, 1)."""
     row_bytes = np.uintp(strip.shape[1] * 4)
     strip_at, block_at, light_at = np.uintp(strip.ctypes.data), np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
     for k in range(3):

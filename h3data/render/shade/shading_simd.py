@@ -56,12 +56,12 @@ def _dot(a: list[Vec], b: list[Vec]) -> Vec:
 
 
 def _words(b: Any, address: Any, first: int, count: int = 3) -> list[Vec]:
-    """``count`` words starting at ``first``, each broadcast to all lanes."""
+    """Return ``count`` words starting at ``first``, each broadcast to all lanes."""
     return [spread(b, address, first + a) for a in range(count)]
 
 
 def _linear(b: Any, block_at: Any, first: int) -> Vec:
-    """A quantity that is linear in x, at 8 pixels."""
+    """Return a quantity that is linear in x, at 8 pixels."""
     start, step = (spread(b, block_at, first + k) for k in range(2))
     return fma(step, lanes(b), start)
 
@@ -72,7 +72,7 @@ def _store_level(b: Any, color: Vec, strip_at: Any) -> None:
 
 
 def _mix(b: Any, attributes_at: Any, first: int, second: Vec, third: Vec, count: int = 3) -> list[Vec]:
-    """An attribute of ``count`` words, interpolated with the barycentrics of vertices 1 and 2."""
+    """Return an attribute of ``count`` words, interpolated with the barycentrics of vertices 1 and 2."""
     corner, to_second, to_third = (_words(b, attributes_at, first + k * count, count) for k in range(3))
     return [fma(third, d3, fma(second, d2, c)) for c, d2, d3 in zip(corner, to_second, to_third, strict=True)]
 
@@ -80,7 +80,7 @@ def _mix(b: Any, attributes_at: Any, first: int, second: Vec, third: Vec, count:
 def _store_coordinates(
     b: Any, attributes_at: Any, z: Vec, second: Vec, third: Vec, coordinates_at: Any, row_bytes: Any
 ) -> None:
-    """Stores S, T and LEVEL, which is chosen by the pixel's longer side on the texture (Williams 1983)."""
+    """Store S, T and LEVEL, which is chosen by the pixel's longer side on the texture (Williams 1983)."""
     corner, to_second, to_third = (_words(b, attributes_at, first, 2) for first in (UV, UV_1, UV_2))
     beyond = [fma(third, d3, second * d2) for d2, d3 in zip(to_second, to_third, strict=True)]
     size, nearness_step = _words(b, attributes_at, TEXELS, 2), _words(b, attributes_at, NEARNESS_STEP, 2)

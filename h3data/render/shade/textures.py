@@ -93,7 +93,7 @@ def mip_levels(pixels: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
 
 
 def _halved(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """The image with half as many rows (axis 0) or columns (axis 1), at least one."""
+    """Return the image with half as many rows (axis 0) or columns (axis 1), at least one."""
     count = image.shape[axis]
     half = count // 2
     if half == 0:

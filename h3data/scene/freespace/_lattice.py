@@ -39,7 +39,7 @@ class Lattice(NamedTuple):
 
 @kernel()
 def _table(graph: Graph, points: NDArray, island: NDArray) -> NDArray:
-    """Exact distances [k, k] between free points: through the corners that each sees, or straight."""
+    """Return the exact distances [k, k] between free points: through the corners that each sees, or straight."""
     k = len(points)
     n = len(graph.nodes)
     table = np.full((k, k), np.inf, np.float32)

@@ -14,7 +14,7 @@ from h3data.kernels import kernel
 
 @kernel()
 def _clip(poly: NDArray, count: int, axis: int, plane: float, keep_above: bool, out: NDArray) -> int:
-    """Part of a convex polygon [count, 3] on one side of an axis-aligned plane (Sutherland-Hodgman), into ``out``."""
+    """Write the part of a convex polygon [count, 3] on one side of a plane to ``out`` (Sutherland-Hodgman)."""
     n = 0
     for k in range(count):
         m = (k + 1) % count

@@ -84,7 +84,10 @@ def _residuals(bodies, x, u, mean, likeness, effort, lower, upper, shoulder_effo
 
 @kernel(error_model="numpy")
 def _sweep(bodies, table, low, step, steps, down, likeness, effort, lower, upper, shoulder_effort):
-    """One pass over all points, each with ``steps`` steps towards less effort and likeness to its neighbours, in place."""
+    """Make one pass over all points, each with ``steps`` steps towards less effort and likeness to its neighbours.
+
+    The points are changed in place.
+    """
     p = k.PARAMETER_COUNT
     count = 2 * len(effort) + p + 1 + PER_BODY * len(bodies)
     r, trial = np.empty(count), np.empty(count)

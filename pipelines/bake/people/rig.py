@@ -125,7 +125,7 @@ def _joint_positions(heads: Array, bone_names: tuple[str, ...]) -> Array:
 
 
 def _bind_rotations(positions: Array) -> Array:
-    """Joint frames of the A-pose: each limb bone is swung from its T-pose direction by the smallest rotation."""
+    """Return joint frames of the A-pose: each limb bone is swung from its T-pose direction by the smallest rotation."""
     rotations = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
     for side, left in (("left", 1.0), ("right", -1.0)):
         arm = [f"{side}_{joint}" for joint in ("shoulder", "elbow", "wrist", "middle1")]

@@ -43,7 +43,7 @@ def picture(replay: Replay, scan: Scan, name: str) -> NDArray[np.uint8]:
 
 
 def _pixels(camera: Camera, local: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Columns and rows of points [N, 3] in the frame of a camera."""
+    """Return the columns and rows of points [N, 3] in the frame of a camera."""
     away = local[:, 2] if camera.projection == "perspective" else np.ones(len(local))
     x, y = camera.fx * local[:, 0] / away + camera.cx, camera.fy * local[:, 1] / away + camera.cy
     return np.nan_to_num(x, nan=-1).astype(np.int64), np.nan_to_num(y, nan=-1).astype(np.int64)

@@ -71,7 +71,7 @@ def parts_by_class(meshes: Sequence[Mesh], nodes: Sequence[GlbNode]) -> list[tup
 
 
 def _world_box(scene: Scene, instance: Instance) -> NDArray[np.float64]:
-    """Lower and upper corner [2, 3] [m] of an instance in the world."""
+    """Return the lower and upper corner [2, 3] [m] of an instance in the world."""
     points = transform_points(instance_matrix(instance), scene.assets[instance.asset].mesh.vertices.astype(np.float64))
     return np.stack([points.min(0), points.max(0)])
 

@@ -211,7 +211,7 @@ def _rig_of(part: PosedPart, rigs: Mapping[str, Any], recording: Recording, numb
 
 
 def _root_bone(part: PosedPart, rig: _Rig) -> Array:
-    """pose7 [T, 7] of the bone that habitat-sim takes out of all others before it places the instance.
+    """Return pose7 [T, 7] of the bone that habitat-sim takes out of all others before it places the instance.
 
     It multiplies every bone by the inverse of the first one that it finds in the nodes of the file, depth first
     (`Drawable::buildSkinJointTransforms`, `ResourceManager::mapSkinnedModelToRig`), so the instance has to stand where that

@@ -439,7 +439,7 @@ def _object_config(render_asset: str, semantic_id: int) -> dict[str, Any]:
 
 
 def _receptacle(receptacle: Receptacle, scale: NDArray[np.float64], name: str) -> dict[str, Any]:
-    """A box above the surface: its bottom is the surface, its height the clearance (half extents, spec/habitat.md 6.4)."""
+    """Return a box above the surface, with the clearance as its height (half extents, spec/habitat.md 6.4)."""
     lift = np.array([0.0, receptacle.clearance_m / 2, 0.0])
     half = np.array([receptacle.half_size[0], lift[1], receptacle.half_size[1]]) * scale
     return {
@@ -461,7 +461,7 @@ def _file_name(text: str) -> str:
 
 
 def _refuse(folder: Path, *, force: bool) -> None:
-    """`InputError` unless the folder is absent, empty, or an earlier export that may be replaced."""
+    """Raise an `InputError` unless the folder is absent, empty, or an earlier export that may be replaced."""
     try:
         if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
             return
@@ -485,7 +485,7 @@ def _refuse(folder: Path, *, force: bool) -> None:
 
 
 def _write(folder: Path, content: Mapping[str, bytes], *, force: bool) -> None:
-    """All files into ``<folder>.part``, which then takes the place of the folder."""
+    """Write all files into ``<folder>.part``, which then takes the place of the folder."""
     part, old = (folder.with_name(folder.name + ending) for ending in (".part", ".old"))
     try:
         if part.exists():

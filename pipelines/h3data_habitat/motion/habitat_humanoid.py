@@ -94,7 +94,7 @@ class HabitatMotion:
 
 
 def _turn(axis: int, degrees: float) -> Array:
-    """4x4 rotation about axis 0, 1 or 2."""
+    """Return the 4x4 rotation about axis 0, 1 or 2."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     matrix = np.eye(4)
     j, k = (axis + 1) % 3, (axis + 2) % 3
@@ -259,7 +259,7 @@ class HabitatHumanoid:
         self._show(self.frame)
 
     def _frame_after(self, way: float) -> int:
-        """Frame of the clip ``way`` [m] after the present one, by Habitat's binary search (the first frame not before it)."""
+        """Return frame of the clip ``way`` [m] after the present one: by Habitat's search, the first not before it."""
         total, here = float(self._displacement[-1]), float(self._displacement[self.frame])
         if abs(way) > total:
             # habitat-lab takes int(way / total) cycles off the length, which adds them for a way back: kept

@@ -124,7 +124,7 @@ def _on_segment(x: float, z: float, ax: float, az: float, bx: float, bz: float) 
 
 @kernel(error_model="numpy")
 def _nearest_edge(corner: NDArray, first: int, last: int, x: float, z: float) -> tuple[float, float, float]:
-    """(square of the distance on the floor [m2], x, z) of the point nearest to (x, z) on a polygon's border."""
+    """Return (square of the distance on the floor [m2], x, z) of the point nearest to (x, z) on a polygon's border."""
     near, qx, qz = np.inf, x, z
     ax, az = corner[last - 1, 0], corner[last - 1, 2]
     for s in range(first, last):
@@ -146,7 +146,7 @@ def _outside(value: float, low: float, high: float) -> float:
 
 @kernel(error_model="numpy")
 def _box_square(box: NDArray, polygon: int, x: float, y: float, z: float) -> float:
-    """Square of the distance [m2] to the box of a polygon; infinity where that does not touch the box of `REACH_M`."""
+    """Return square of the distance [m2] to the box of a polygon; infinity if it is outside the box of `REACH_M`."""
     dx = _outside(x, box[polygon, 0], box[polygon, 3])
     dy = _outside(y, box[polygon, 1], box[polygon, 4])
     dz = _outside(z, box[polygon, 2], box[polygon, 5])

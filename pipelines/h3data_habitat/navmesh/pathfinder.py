@@ -117,7 +117,7 @@ class PathFinder:
         return min((length for length, _ in found), default=np.inf)
 
     def _over_free_floor(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> float | None:
-        """The distance where both points project straight down or up to the `FreeSpace`, without looking for polygons."""
+        """Return the distance if both points project vertically to the `FreeSpace`, without a search for polygons."""
         assert self.free_space is not None
         y = self.free_space.floor_y
         if abs(a[1] - y) > REACH_M[1] or abs(b[1] - y) > REACH_M[1]:
@@ -126,7 +126,7 @@ class PathFinder:
         return length if length < np.inf else None
 
     def _paths(self, start: ArrayLike, ends: NDArray[np.float64]) -> list[tuple[float, NDArray[np.float64]]]:
-        """Length and waypoints to each end."""
+        """Return the length and waypoints to each end."""
         a = _point(start)
         if self.free_space is None:
             return [way(self._graph, a, end) for end in ends]
@@ -134,7 +134,7 @@ class PathFinder:
         return [self._flat_path(p, self._nearest(end)[1:]) for end in ends]
 
     def _flat_path(self, p: tuple[float, ...], q: tuple[float, ...]) -> tuple[float, NDArray[np.float64]]:
-        """Length and waypoints over the `FreeSpace` between points of its surface, NaN where there is none."""
+        """Return length and waypoints over the `FreeSpace` between points of its surface, NaN where there is none."""
         assert self.free_space is not None
         flat = self.free_space.path(p[::2], q[::2], max_snap_m=ENDS_TOUCH_M)
         points = np.stack([flat[:, 0], np.full(len(flat), self.free_space.floor_y), flat[:, 1]], axis=1)

@@ -73,7 +73,7 @@ class Furniture:
 
 
 def _upright_box(shape: Shape) -> BaseGeometry | None:
-    """Footprint of an axis-aligned box that obstructs walkers, the common case; None for other shapes."""
+    """Return the footprint of an axis-aligned box that obstructs walkers, the common case; None for other shapes."""
     if not isinstance(shape, Box) or shape.pose[6] != 1:
         return None
     import shapely

@@ -284,7 +284,7 @@ def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
 
 
 def _outline(p: Placed) -> BaseGeometry:
-    """Footprint of a piece's collision shapes on the floor."""
+    """Return the footprint of a piece's collision shapes on the floor."""
     import shapely
 
     heading = p.quarter * np.pi / 2 + p.yaw

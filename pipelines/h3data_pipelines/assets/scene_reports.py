@@ -140,7 +140,7 @@ def _same_object(first: str, second: str) -> bool:
 
 
 def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
-    """Overlapping objects, and the number of further pairs that may overlap only because one is a filled hull."""
+    """Return overlapping objects, and the number of further pairs that may overlap only by a filled hull."""
     from h3data_pipelines.validation.overlaps import overlapping_instances
     from h3data_pipelines.validation.scenes import Problem, hull_fills_hollows
 

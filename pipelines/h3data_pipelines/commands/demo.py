@@ -224,7 +224,7 @@ class _Videos:
 
 
 def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None:
-    """The frame in the middle of the episode."""
+    """Write the frame in the middle of the episode."""
     from h3data.render import write_png
 
     stage, middle = replay.stage, len(replay) // 2
@@ -233,7 +233,7 @@ def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None
 
 
 def _write_beside(recording: Recording, videos: _Videos, out: Path) -> None:
-    """The dataset and the file for Rerun, which waits for the videos."""
+    """Write the dataset and the file for Rerun, which waits for the videos."""
     from h3data.recording import DatasetWriter
 
     with DatasetWriter(out / "dataset") as writer:

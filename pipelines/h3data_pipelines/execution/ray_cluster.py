@@ -119,7 +119,7 @@ def _dial(where: str) -> None:
 
 @contextmanager
 def _signals_kept() -> Iterator[None]:
-    """Ray handles SIGTERM for itself; here it means what it meant before: stop, keep what is finished."""
+    """Keep the former meaning of SIGTERM, which Ray handles for itself: stop, and keep what is finished."""
     numbers = (signal.SIGTERM, signal.SIGINT)
     before = {number: signal.getsignal(number) for number in numbers}
     try:
@@ -268,7 +268,7 @@ class _UnderWay:
                 del self.attempts[reference]
 
     def _lost(self, index: int, error: Exception) -> None:
-        """A worker died with a shard, or its result with a node."""
+        """Handle the loss of a worker that died with a shard, or of its result with a node."""
         if index in self.done or any(attempt.index == index for attempt in self.attempts.values()):
             return
         name = type(error).__name__

@@ -191,7 +191,7 @@ def _belongs(name: str) -> bool:
 
 
 def _rank(name: str) -> int:
-    """When a file is copied: data, the tables that commit episodes, what counts them, info.json."""
+    """Return the order of copying a file: data, tables that commit episodes, their counts, info.json."""
     if name == _INFO:
         return 3
     if name.startswith("meta/episodes/"):

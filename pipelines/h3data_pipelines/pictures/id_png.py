@@ -29,7 +29,7 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def _literal_sizes() -> NDArray[np.int64]:
-    """Bits of the codes of bytes, of the end of the block, and of the classes of lengths, shape [286].
+    """Return the bits of the codes of bytes, of the end of the block, and of the classes of lengths, shape [286].
 
     Chosen for ids of homes: long runs of zeros, and small differences. Every code is used up: the sum of 2^-bits is 1.
     """
@@ -64,7 +64,7 @@ def _joined(parts: Iterable[tuple[int, int]]) -> tuple[int, int]:
 
 
 def _tables() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8], int]:
-    """Code and size of each byte and of the end [257, 2], and of runs by their length [259, 2], without the distance.
+    """Return code and size of each byte and of the end [257, 2], and of runs by length [259, 2], without distance.
 
     Then the bits with which all files begin, as bytes, and their number.
     """
@@ -184,7 +184,7 @@ def _deflate(ids, tables, out):
 
 @kernel_part(forceinline=True)
 def _difference(one, other):
-    """Differences of the higher and of the lower bytes of two numbers, each modulo 256."""
+    """Return the differences of the higher and of the lower bytes of two numbers, each modulo 256."""
     return ((one >> 8) - (other >> 8)) & 255, (one - other) & 255
 
 

@@ -128,7 +128,7 @@ class _Contacts:
 
     @property
     def touched(self) -> Flags | None:
-        """Rows in which it touches a person [T]."""
+        """Rows in which the robot touches a person [T]."""
         return _rows_of(self.people)
 
     @classmethod
@@ -245,7 +245,7 @@ class _Crowd:
         return nearest_of(self.gaps[rows])
 
     def times_to_collision(self) -> Array:
-        """Time until the discs of robot and person touch, if both go on as since the previous row [R, P] [s]."""
+        """Return the time until the discs of robot and person touch at their last velocities [R, P] [s]."""
         towards = self.people - self.at[:, None]
         velocity = self.rows.changes(towards) / self.seconds[:, None, None]
         return time_to_collision(towards, velocity, ROBOT_RADIUS_M + HUMAN_RADIUS_M)
@@ -259,7 +259,7 @@ class _Crowd:
         return (robot >= person) & (length > 0), (robot < person) & (length > 0)
 
     def stuck(self) -> Flags:
-        """Rows in which the goal has come less than `PROGRESS_M` nearer within `PROGRESS_S`, before it is reached [R]."""
+        """Return rows [R] before arrival in which the goal came less than `PROGRESS_M` nearer within `PROGRESS_S`."""
         distance = np.concatenate([goal.distance for goal in self.goals])
         before = self.rows.earlier(self.time_ns, int(PROGRESS_S * 1e9))
         with np.errstate(invalid="ignore"):
@@ -391,7 +391,7 @@ def _note(goal: Goal, contacts: _Contacts, notes: Notes) -> None:
 
 
 def _group_gaps(recording: Recording, robot: int) -> tuple[Array, Array]:
-    """Distances of the robot to each group's centre, inf before they have met, and the groups' radii, each [T, G] [m]."""
+    """Return distances of the robot to the centres of groups, inf before they meet, and their radii, [T, G] [m]."""
     told, names = recording.episode.info.get("people"), [agent.name for agent in recording.agents]
     groups: dict[str, list[int]] = {}
     for name, facts in told.items() if isinstance(told, dict) else ():
@@ -427,7 +427,7 @@ def _of_groups(recording: Recording, robot: int) -> dict[str, float]:
 
 
 def _of_contacts(contacts: _Contacts) -> dict[str, float]:
-    """Counts of contacts, NaN where nobody recorded them."""
+    """Return the counts of contacts; NaN if no contacts were recorded."""
 
     def count(flags: Flags | None) -> float:
         if flags is None:

@@ -322,7 +322,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
                 self._walks[k] = PlantedWalk(on_stairs(member.body.gait_tables, heights), base)
 
     def _joint_frames(self, number: int, body: Humanoid) -> NDArray[np.floating]:
-        """World frames of a person's joints now, [1, 55, 4, 4]."""
+        """Return the world frames of a person's joints now, [1, 55, 4, 4]."""
         agent, now = f"agent_{number}.", self._columns
         quats, pelvis = pose_planted(self._walks[number].tables, self._walks[number].state[None])
         if agent + "motion_arms" in now:
@@ -346,7 +346,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
 
 
 def _playable(shown: Demonstrations, episodes: int) -> Demonstrations:
-    """Demonstrations of a robot that has some episodes."""
+    """Return the demonstrations of a robot that has some episodes."""
     if not episodes or len(shown.seeds) != episodes:
         raise InputError(
             f"Expected meta/h3data.json to describe the dataset's {episodes} episodes, it describes {len(shown.seeds)}. Hint: "

@@ -305,7 +305,7 @@ class Players:
 
 
 def _begin() -> None:
-    """A process goes on through Ctrl-C, which reaches all of them, and ends with the one that started it."""
+    """Prepare a process that ignores Ctrl-C, which reaches all processes, and ends with the one that started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -158,7 +158,7 @@ class TensorSkillPolicy:
         keep_row(self._kept, step, row._asdict(), rows=len(self._noise))
 
     def _asked(self, view: View) -> tuple[Tensor, View]:
-        """Agents that choose now (`RecurrentChooser.interrupts`), bool [W], and the view of those who are interrupted."""
+        """Return agents that choose now (`RecurrentChooser.interrupts`), bool [W], and the view of interrupted ones."""
         play, does = view.play, view.does
         running = does.skill.clamp_min(0)
         kind, holder = view.choices.kind[running], of_object(play.held_by, view.choices.target[running])

@@ -120,7 +120,10 @@ _WORLD = ("solid_agents", "floor_moves")
 
 
 def _held(rules: Any) -> Held:
-    """Rules held for a user's task. Its own functions read its rules; those that move agents are as in the built-in tasks."""
+    """Return the rules for a user's task.
+
+    The task's own functions read its rules; those that move agents are as in the built-in tasks.
+    """
     if isinstance(rules, RearrangeSpec):
         return _held_with_things(rules)
     task, like = type(rules), HELD[SocialNav.name]

@@ -144,7 +144,7 @@ class JointReader:
         return out if any(part.instances for part in out) else []
 
     def _root(self, link: _Link) -> str:
-        """Path of the prim that stands for the whole thing: the articulation's, else what its first joint hangs on."""
+        """Return path of the prim for the whole thing: that of the articulation, else of the first joint's parent."""
         for path in (link.child, *_above(link.child)):
             if self.opened.stage.GetPrimAtPath(path).HasAPI(pxr("UsdPhysics").ArticulationRootAPI):
                 return path if path != link.child else link.stands_on

@@ -261,7 +261,7 @@ class _StageReader:
         return bool(prim and prim.GetAttribute("physics:kinematicEnabled").Get())
 
     def _content(self, thing: Thing, back: Array, *, moves: bool) -> tuple[Mesh | None, list[Shape]]:
-        """Mesh and shapes of a thing in the frame to which ``back`` [4, 4] leads from the world, +Y up [m]."""
+        """Return mesh and shapes of a thing in the frame to which ``back`` [4, 4] leads from the world, +Y up [m]."""
         meshes: list[Mesh] = []
         shapes: list[Shape] = []
         for gprim in thing.gprims:
@@ -313,7 +313,7 @@ class _StageReader:
 
 
 def _order(parts: Sequence[Part], part: Part) -> int:
-    """Place among our records of the part that a body is, by a name that USD allows."""
+    """Return the index among our records of the part that a body is, by a name that USD allows."""
     plain = [re.sub(r"[^A-Za-z0-9_]", "_", other.name).lstrip("_") for other in parts]
     name = part.name.lstrip("_")
     return plain.index(name) if name in plain else len(parts)
@@ -343,7 +343,7 @@ def _same_shapes(old: Sequence[Shape], new: Sequence[Shape]) -> bool:
 
 
 def _asset_record(opened: OpenStage, key: str) -> Mapping[str, Any]:
-    """Our record of an asset, from the class prims that instances refer to."""
+    """Return our record of an asset, from the class prims that instances refer to."""
     classes = opened.stage.GetPrimAtPath(opened.stage.GetDefaultPrim().GetPath().AppendChild("Assets"))
     for prim in classes.GetAllChildren() if classes else ():
         record = records_of(prim)

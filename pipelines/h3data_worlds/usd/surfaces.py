@@ -241,7 +241,7 @@ class SurfaceReader:
         return Look(color=_GRAY)
 
     def _omniverse(self, shader: Any) -> Look:
-        """Base colour and image of OmniPBR and materials made like it."""
+        """Return base colour and image of OmniPBR and materials like it."""
         named = ("diffuse_color_constant", "diffuse_tint", "base_color", "diffuse_color")
         color = next((v for name in named if (v := _value_of(shader.GetInput(name))[1]) is not None), None)
         files = ("diffuse_texture", "base_color_texture")

@@ -193,7 +193,7 @@ class ThingFinder:
         owner.gprims.append(Gprim(prim=prim, world=self._world(prim), shown=shown, collides=collides))
 
     def _allow(self, more: int) -> None:
-        """Counts things before they are made; a few nested instances may stand for millions."""
+        """Count things before they are made, because a few nested instances may stand for millions."""
         self.copies += more
         if self.copies > MAX_COPIES:
             raise SceneError(
@@ -202,7 +202,7 @@ class ThingFinder:
             )
 
     def _copies(self, prim: Any, body: str, visible: bool) -> None:
-        """The copies that a point instancer makes of its prototypes: things of their own."""
+        """Yield the copies that a point instancer makes of its prototypes, as separate things."""
         instancer = self._instancer(prim)
         which = np.asarray(instancer.GetProtoIndicesAttr().Get(self._time) or (), np.int64)
         prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
@@ -232,7 +232,7 @@ class ThingFinder:
             self.things[path] = made
 
     def _below(self, prototype: Any) -> Iterator[tuple[Any, NDArray[np.float64]]]:
-        """Surfaces at and below a prototype, each with its transform to the prototype's frame."""
+        """Yield surfaces at and below a prototype, each with its transform to the prototype's frame."""
         usd = pxr("Usd")
         if not prototype:
             return

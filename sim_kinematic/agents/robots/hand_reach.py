@@ -122,7 +122,7 @@ def _stretched_arm(robot: Robot) -> _StretchedArm:
 
 
 def _travel(robot: Robot, link: int) -> float:
-    """Returns the farthest that a joint slides from the modelled origin of its link [m]."""
+    """Return the farthest that a joint slides from the modelled origin of its link [m]."""
     if robot.kinds[link] != SLIDES:
         return 0.0
     column = robot.columns[link]
@@ -186,7 +186,7 @@ def hand_target(robot: Robot, distance_m: float, height_m: float) -> Array:
 
 
 def _turned_left(angle: float) -> NDArray[np.float64]:
-    """Rotation about the upward axis."""
+    """Return the rotation about the upward axis."""
     if angle == 0:
         return np.eye(3)
     c, s = np.cos(angle), np.sin(angle)
@@ -195,7 +195,7 @@ def _turned_left(angle: float) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=32)
 def _with_free_yaw(robot: Robot) -> Robot:
-    """A robot whose hand turns freely about what is vertical when it picks, through where it holds things: one more joint."""
+    """Return a robot whose hand turns freely about the vertical axis at the grip when it picks: with one more joint."""
     c, s = np.cos(HAND_REACH.hand_pitch_rad), np.sin(HAND_REACH.hand_pitch_rad)
     # of a hand that is pitched by p, up is sin p times ahead plus cos p times its own up
     vertical = robot.hand_axes @ np.array([s, 0.0, c])

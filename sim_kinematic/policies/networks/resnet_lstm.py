@@ -178,7 +178,7 @@ class ResNetPolicy(VisualPolicy):
 
     @cached_property
     def _net(self) -> ResNetLSTM:
-        """The network with the weights of the file, made at the first evaluation."""
+        """Network with the weights of the file, made at the first evaluation."""
         net = _net(self.card, self.arrays)
         net.take(self.arrays)
         return net.eval()

@@ -518,7 +518,7 @@ class _EpisodeSampler:
         return self.free.geodesic(np.broadcast_to(here, self._centers.shape), self._centers, max_snap_m=SNAP_M)
 
     def _person_stand(self, place: ReachQuery, here: Array | None = None) -> tuple[Array | None, float]:
-        """Pose [3] from which the person's hand reaches a place without the body touching the home, and the path length to it.
+        """Return pose [3] from which the hand reaches a place without the body touching the home, and the path length.
 
         It is the nearest such pose to ``here`` [2]. Returns None and infinity if there is none.
         """

@@ -198,7 +198,7 @@ _ID = re.compile(r"\S{1,200}")
 
 
 def _listed(path: Path) -> list[tuple[str, str]]:
-    """Ids and completion codes (empty: not given) of a platform's list.
+    """Return the ids and completion codes (empty: not given) of a platform's list.
 
     Raises:
         InputError: it cannot be read, or has no ids.

@@ -108,7 +108,7 @@ def _agent(
 
 
 def _add_poses(payload: Payload, name: str, poses: Array) -> str:
-    """pose7 [T, 7] in two arrays: ``<name>.position`` and ``<name>.rotation``."""
+    """Add pose7 [T, 7] as two arrays: ``<name>.position`` and ``<name>.rotation``."""
     payload.add_array(f"{name}.position", poses[:, :3], POSITION_M)
     payload.add_array(f"{name}.rotation", quat_sign_continuous(np.asarray(poses[:, 3:], np.float64)), ROTATION)
     return name

@@ -50,7 +50,7 @@ def beside_steps(heights, x, z):
 
 @kernel_part()
 def _upwards(heights, k, heading):
-    """Cosine of the angle between a heading and the direction in which a flight rises."""
+    """Return the cosine of the angle between a heading and the direction in which a flight rises."""
     # flights are stored by their lower and upper end along an axis, whichever way that points
     sign = 1.0 if heights[k, END] > heights[k, START] else -1.0
     return sign * (math.cos(heading) if heights[k, AXIS] == 0.0 else -math.sin(heading))

@@ -77,7 +77,7 @@ def wobble(mesh: Cloth, scale_m: float, seed: int) -> Array:
 
 
 def _here_and_there(mesh: Cloth, seed: int) -> Array:
-    """Factor on folds, 0.15 to 1, so that some places have hardly any."""
+    """Return a factor on folds, 0.15 to 1, so that some places have hardly any."""
     return 0.15 + 0.85 * smoothstep(-0.55, 0.75, wobble(mesh, 0.24, seed))
 
 

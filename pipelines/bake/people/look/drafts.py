@@ -45,7 +45,7 @@ def sheet(body: Cloth, faces: NDArray[np.int32]) -> Sheet:
 
 
 def _split(s: Sheet, edges: NDArray[np.int64], t: Array) -> Sheet:
-    """With vertices added at ``t`` of edges [E, 2]; faces as they were."""
+    """Return a mesh with vertices added at ``t`` of edges [E, 2]; the faces are unchanged."""
     a, b = edges.T
     t = t[:, None]
     return replace(

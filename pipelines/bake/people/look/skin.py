@@ -97,7 +97,7 @@ def light_sheet(base: Base) -> Sheet:
 
 
 def _swollen(body: Cloth) -> Array:
-    """Vertices with head and hands enlarged from where they begin, smoothly by their skin weights."""
+    """Return the vertices with head and hands enlarged from where they begin, smoothly by their skin weights."""
     vertices = body.vertices.copy()
     parts = [
         (joint_weight(body, ("head", "jaw")), HEAD_DETAIL),

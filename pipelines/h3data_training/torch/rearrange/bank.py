@@ -245,7 +245,7 @@ def _ways(episode: RearrangeEpisode, parts: tuple[int, ...]) -> list[PathTable]:
 
 
 def _spots(episode: RearrangeEpisode, parts: tuple[int, ...]) -> list[Array]:
-    """Starts and goals of the objects, then handles, [2 K + M, 3]."""
+    """Return the starts and goals of the objects, then handles, [2 K + M, 3]."""
     handles = [errands_of(episode, ROBOT, parts).to_part[joint].point for joint in parts]
     return [*(t.start[:3] for t in episode.targets), *(t.goal for t in episode.targets), *handles]
 
