@@ -1,4 +1,4 @@
-"""Write a set of homes: `datasets/h3-homes` or, with ``--set``, `datasets/h3-homes-v2` or `datasets/h3-homes-large`.
+"""Script for sets of homes: `datasets/h3-homes` or, with ``--set``, `h3-homes-v2` or `h3-homes-large`.
 
 ``python -m bake.home_sets --choose`` picks the homes of the three splits and writes them down; without ``--choose``
 only the tables of the card are measured again. ``--split`` picks those of one split.

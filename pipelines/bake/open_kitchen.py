@@ -1,4 +1,4 @@
-"""docs/pictures/articulated.jpg: two kitchens of the generator, closed and with everything open.
+"""Script for docs/pictures/articulated.jpg: two kitchens of the generator, closed and with everything open.
 
 python -m bake.open_kitchen docs/pictures/articulated.jpg
 """

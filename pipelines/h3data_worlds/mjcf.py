@@ -141,7 +141,7 @@ def mjcf_files(path: Path) -> list[Path]:
 
 @dataclass
 class _Scan:
-    """Reads the XML of a model and of what it includes, before MuJoCo does."""
+    """Reader of the XML of a model and its included files, before MuJoCo reads them."""
 
     main: Path
     models: list[Path] = field(default_factory=list)

@@ -46,7 +46,7 @@ class AssetLibrary:
         self.scene = scene
         self.missing: list[str] = []
         self.unreadable: dict[str, str] = {}
-        """Reason by uri."""
+        """Reasons why asset files could not be read, by URI."""
 
     def __repr__(self) -> str:
         scene = f", scene {self.scene.name!r}" if self.scene else ""

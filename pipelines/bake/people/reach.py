@@ -1,4 +1,4 @@
-"""Solve the table of reaching postures: ``python -m bake.people.reach`` writes ``datasets/bodies/reach/table.npz``.
+"""Script for reaching postures: ``python -m bake.people.reach`` writes ``datasets/bodies/reach/table.npz``.
 
 Per point of the grid a posture is found by Levenberg-Marquardt: little effort, joint limits, balance, an arm that is long
 enough and stays out of the body, and the likeness of neighbouring points, all for several bodies at once, so that one table

@@ -1,4 +1,4 @@
-"""docs/pictures/behaviour_*.webp: six films of learned policies, found in recordings by events and by how agents move.
+"""Script for docs/pictures/behaviour_*.webp: six films of learned policies, found in recordings by events and motion.
 
 h3data generate social_nav --policy end_to_end --scenes h3-homes/test --episodes 30 --seed 9107 -o nav
 h3data generate rearrange --policy plan_pop_3_pixels --partner both --scenes h3-homes/test --episodes 12 --seed 9107 -o pixels

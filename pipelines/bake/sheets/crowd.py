@@ -1,4 +1,4 @@
-"""docs/pictures/crowd.jpg: a robot of `crowd_nav` among four people, over its shoulder in four moments.
+"""Script for docs/pictures/crowd.jpg: a robot of `crowd_nav` among four people, over its shoulder in four moments.
 
 python -m bake.sheets.crowd docs/pictures/crowd.jpg
 """

@@ -1,4 +1,4 @@
-"""docs/pictures/doors.jpg: doors of the generator, closed, half open and open; above those that swing, below those that slide.
+"""Script for docs/pictures/doors.jpg: swinging doors (above) and sliding doors, closed, half open and open.
 
 python -m bake.sheets.doors docs/pictures/doors.jpg
 """

@@ -1,4 +1,4 @@
-"""docs/pictures/lerobot.jpg: frames of a dataset's video, and the environment of that dataset after the same actions.
+"""Script for docs/pictures/lerobot.jpg: frames of a dataset's video, and its environment after the same actions.
 
 python -m bake.sheets.lerobot docs/pictures/lerobot.jpg
 """

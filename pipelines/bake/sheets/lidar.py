@@ -1,4 +1,4 @@
-"""docs/pictures/lidar.jpg: points of a laser scanner that sees legs, in an episode and from above, and those of a 3-D scanner.
+"""Script for docs/pictures/lidar.jpg: points of a laser scanner that sees legs, and those of a 3-D scanner.
 
 python -m bake.sheets.lidar docs/pictures/lidar.jpg
 """

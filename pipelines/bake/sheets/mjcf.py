@@ -1,4 +1,4 @@
-"""docs/pictures/mjcf.jpg: robots from MJCF files of our own at rest, each from three sides.
+"""Script for docs/pictures/mjcf.jpg: robots from h3data's own MJCF files at rest, each from three sides.
 
 python -m bake.sheets.mjcf tests/data/mjcf/barrow.xml,tests/data/mjcf/porter.xml docs/pictures/mjcf.jpg
 """

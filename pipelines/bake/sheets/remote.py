@@ -1,4 +1,4 @@
-"""docs/pictures/remote.jpg: what a policy server was shown at some of its requests, and the actions that it answered.
+"""Script for docs/pictures/remote.jpg: observations in requests to a policy server, and the actions in its answers.
 
 The server speaks openpi's protocol and follows the person by the numbers that it is sent; the pictures are those of the adapter
 ``openpi``.

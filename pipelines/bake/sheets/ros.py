@@ -1,4 +1,4 @@
-"""docs/pictures/ros.jpg: tracks of people and a map of a robot, as they look when they have become a recording.
+"""Script for docs/pictures/ros.jpg: tracks of people and a map of a robot after their import as a recording.
 
 The tracks and the map are those of one of our own episodes, written as a table of places and as an occupancy map.
 

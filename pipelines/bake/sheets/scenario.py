@@ -1,4 +1,4 @@
-"""docs/pictures/scenarios.png: an episode of each scenario card from above, with the tracks of the robot and of people.
+"""Script for docs/pictures/scenarios.png: an episode of each scenario card from above, with the tracks of all agents.
 
     PYTHONPATH=pipelines python -m bake.sheets.scenario docs/pictures/scenarios.png
 

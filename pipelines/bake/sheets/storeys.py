@@ -1,4 +1,4 @@
-"""docs/pictures/storeys.jpg and stairs.jpg: a home with two storeys, and agents on its stairs frame by frame.
+"""Script for docs/pictures/storeys.jpg and stairs.jpg: a home with two storeys, and agents on its stairs by frame.
 
     PYTHONPATH=pipelines python -m bake.sheets.storeys docs/pictures
 
@@ -147,7 +147,7 @@ def stairs_sheet(scene: Scene) -> NDArray[np.uint8]:
 
 
 def main(folder: str) -> None:
-    """Draw both."""
+    """Draw both pictures."""
     scene = build_home(HomeSpec(seed=SEED, generation=2, storeys=2))
     out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)

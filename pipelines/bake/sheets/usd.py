@@ -1,4 +1,4 @@
-"""docs/pictures/usd.jpg: a home of ours, the same home read back from USD, and how many pixels differ.
+"""Script for docs/pictures/usd.jpg: a generated home, the same home read from USD, and the number of different pixels.
 
 python -m bake.sheets.usd docs/pictures/usd.jpg
 """

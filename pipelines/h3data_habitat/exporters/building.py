@@ -58,7 +58,7 @@ def speck(scene: Scene, stage: Sequence[Instance]) -> Mesh:
 
 
 def parts_by_class(meshes: Sequence[Mesh], nodes: Sequence[GlbNode]) -> list[tuple[list[Mesh], list[GlbNode]]]:
-    """Return meshes and nodes of the same category, semantic id and layer, in the order of their first occurrence."""
+    """Return meshes and nodes grouped by category, semantic id and layer, in the order of their first occurrence."""
     classes: dict[tuple[object, ...], tuple[list[Mesh], list[GlbNode]]] = {}
     for node in nodes:
         own_meshes, own_nodes = classes.setdefault(tuple(node.extras["h3data"].values()), ([], []))

@@ -50,7 +50,7 @@ _HEADER = np.dtype(
 
 
 class _Cursor:
-    """Reads forward through bytes and never asks for more than there are."""
+    """Forward reader of bytes, which never requests more than there are."""
 
     def __init__(self, data: bytes, path: Path) -> None:
         self.data, self.path, self.offset = data, path, 0

@@ -131,7 +131,7 @@ class Batch(NamedTuple):
 
 
 class _Sampler(RecurrentSkillPolicy):
-    """Chooses at random by the scores, and keeps all it was shown."""
+    """Chooser that samples by the scores, and stores all its observations."""
 
     def __init__(self, network: SkillPolicyNetwork, objects: int, *, robot: bool, rng: np.random.Generator) -> None:
         super().__init__(network, objects, robot=robot)

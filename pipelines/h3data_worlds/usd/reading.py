@@ -81,7 +81,7 @@ def read_usd(path: Any, *, allow_missing: bool = False, strict: bool = False) ->
 
 
 class _StageReader:
-    """Reads one stage."""
+    """Reader of one stage."""
 
     def __init__(self, opened: OpenStage) -> None:
         self.opened = opened

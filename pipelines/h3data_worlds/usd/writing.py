@@ -139,7 +139,7 @@ class _Textures:
 
 
 class _StageWriter:
-    """Writes one scene into one stage."""
+    """Writer of one scene into one stage."""
 
     def __init__(self, stage: Any, scene: Scene, textures: _Textures) -> None:
         self.stage, self.scene, self.textures = stage, scene, textures

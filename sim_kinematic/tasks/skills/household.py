@@ -436,8 +436,7 @@ class Household(Team):
         return choices(len(self.starts), robot=isinstance(self.actors[agent], RobotActor), parts=self.parts)
 
     def _known(self, agent: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_], Places | None]:
-        """Return positions, holders, and which things are at their goals, as an agent knows them, and places to look
-        at."""
+        """Return positions, holders, and which things are at goals, as an agent knows them, and places to look at."""
         objects, sight = self.objects, self.objects.sight
         if sight is None:
             return objects.poses[:, :3].copy(), objects.held_by.copy(), self._at_goal(), None

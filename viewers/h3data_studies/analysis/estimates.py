@@ -220,7 +220,7 @@ def analyse_study(
 
 
 class _Analyser:
-    """Fits one metric after the other and collects notes."""
+    """Analyser that fits one metric after the other and collects notes."""
 
     def __init__(self, episodes: Sequence[EpisodeMetrics], conditions: Sequence[str], model: StudyModel) -> None:
         self._episodes, self._conditions, self._model = episodes, conditions, model
