@@ -112,7 +112,7 @@ def _function(function: Any) -> tuple[str, list[Any]]:
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """Return the names that code may look up among its globals; some are attributes, which does no harm."""
+    """Yield the names that code may look up among its globals; some are attributes, which does no harm."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):

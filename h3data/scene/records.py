@@ -317,7 +317,7 @@ class Scene:
         return np.stack([np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)])
 
     def receptacles(self) -> Iterator[tuple[Instance, Receptacle]]:
-        """Return every usable receptacle of every static instance; Habitat names them ``instance|receptacle``."""
+        """Yield every usable receptacle of every static instance; Habitat names them ``instance|receptacle``."""
         for instance in self.static_instances:
             for receptacle in self.assets[instance.asset].receptacles:
                 if instance.receptacles is None or receptacle.name in instance.receptacles:

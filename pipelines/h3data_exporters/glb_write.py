@@ -207,7 +207,7 @@ def _primitives(
 
 
 def _looks(mesh: Mesh) -> Iterator[tuple[int, NDArray[np.uint8], NDArray[np.int32]]]:
-    """Return texture (-1: none), sRGB colour and triangles of each look of a mesh; `MAX_LOOKS` limits the textures."""
+    """Yield texture (-1: none), sRGB colour and triangles of each look of a mesh; `MAX_LOOKS` limits the textures."""
     kinds = face_texture_indices(mesh).astype(np.int64)
     colors = np.where(kinds[:, None] < 0, 0, mesh.colors[mesh.faces[:, 0]])
     # colours are made coarser by powers of two until there are few enough

@@ -114,7 +114,7 @@ def refine(heap: Heap, light_at: LightAt, *, mean: float, lit: NDArray[np.bool_]
 
 
 def _light_new(heap: Heap, faces: NDArray[np.int64], light_at: LightAt) -> None:
-    """Return the light of the vertices of ``faces``."""
+    """Set the light of the vertices of ``faces``."""
     corners = heap.world[faces, :3]
     offset = (corners.mean(1)[:, None] - corners).reshape(-1, 3)
     sums = [np.bincount(faces.ravel(), offset[:, a], len(heap.vertices)) for a in range(3)]

@@ -313,7 +313,7 @@ class _Reader:
         return next(link.name for link in links if link.name not in below)
 
     def _chain(self, b: int, root: int) -> Iterator[tuple[UrdfLink | None, UrdfJoint | None]]:
-        """Return link and joints that lead to the frame of a body, with a link if the frame is not at an anchor.
+        """Yield link and joints that lead to the frame of a body, with a link if the frame is not at an anchor.
 
         As `mj_kinematics`: joints turn one after the other about their anchors, in the axes that those before have turned.
         """

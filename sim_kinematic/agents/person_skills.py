@@ -261,7 +261,7 @@ class PersonActor:
         self.free = self.person.free = free
 
     def _clear_of_open(self, stands: Array) -> Array:
-        """Stand clear of open doors and drawers."""
+        """Return the stands that are clear of open doors and drawers."""
         if self.openables is None:
             return stands
         return stands[stands_clear(stands, self.openables.open_points(), (0.0,), AVOIDANCE.person.radius_m)]

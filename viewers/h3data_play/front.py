@@ -445,7 +445,7 @@ class WebServer:
             self._over(live, body)
 
     def _waits(self, live: Live, body: dict[str, str]) -> None:
-        """Wait, because the disk has no space for the data of a game or for its beginning."""
+        """Note that a game waits, because the disk has no space for its data or for its beginning."""
         if not self._stuck:
             self.report({"disk": {"is_full": True, "why": body["why"]}})
         self._stuck[live.game.key] = body["text"]

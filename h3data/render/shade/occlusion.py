@@ -49,7 +49,7 @@ EDGE, EDGE_ROWS = 8, 2
 
 
 def _offsets() -> NDArray[np.float64]:
-    """Return a tap on the unit disc for every pixel of a 4x4 square, repeated to 8 lanes, shape [4 rows, TAPS, x y, 8].
+    """Return taps on the unit disc for every pixel of a 4x4 square, repeated to 8 lanes, shape [4 rows, TAPS, x y, 8].
 
     A spiral, rotated and slightly scaled from pixel to pixel by an ordered dither, in which neighbours differ strongly;
     denser towards the centre, to resolve contacts.

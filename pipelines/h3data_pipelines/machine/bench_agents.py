@@ -88,7 +88,7 @@ class RobotAgent:
         self._pose()
 
     def _pose(self) -> None:
-        """Return root poses [W, 7] and frames of the links [W, L, 4, 4]."""
+        """Compute the root poses [W, 7] and the frames of the links [W, L, 4, 4]."""
         self.base = root_pose(self.body, self.own.xz, self.own.heading, self.free)
         self.frames = self.body.link_matrices(self.base, self.own.joints)
 
@@ -159,7 +159,7 @@ class HumanAgent:
         return points
 
     def _pose(self, action: Action) -> None:
-        """Return root poses [W, 7] and frames of the joints [W, 55, 4, 4]."""
+        """Compute the root poses [W, 7] and the frames of the joints [W, 55, 4, 4]."""
         own, human = self.own, self.body
         self.base = self.free.root_pose(own.xz, own.heading)
         if action == "nav":

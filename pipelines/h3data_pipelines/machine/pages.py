@@ -79,7 +79,7 @@ def error_kinds(page: str) -> list[ErrorKind]:
 
 
 def _rows(page: str, *, of: int) -> Iterator[list[str]]:
-    """Return the cells of the rows of all tables with so many columns."""
+    """Yield the cells of the rows of all tables with so many columns."""
     for line in page.splitlines():
         cells = [_plain(cell.strip()) for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
         if len(cells) == of:

@@ -151,7 +151,7 @@ class _Worlds:
         self._look: Callable[[], object] = self._draw
 
     def played(self, jobs: Sequence[Job]) -> Batch:
-        """Return some episodes, in their order."""
+        """Play some episodes and return their batch, in their order."""
         device, seed = self._sim.device, episode_seed(jobs[0].seed, jobs[0].number) % 2**63
         entries = torch.tensor([job.entry for job in jobs], device=device)
         generator = torch.Generator(device).manual_seed(seed)
@@ -180,7 +180,7 @@ class _Worlds:
         return _batch(self._sim, self._play, jobs, self._choosers, self._rewards[:steps].double())
 
     def _starts(self, entries: Tensor, generator: torch.Generator) -> Tensor:
-        """Start ``(x, z, heading)`` of robot and person, [W, 2, 3].
+        """Return the starts ``(x, z, heading)`` of robot and person, [W, 2, 3].
 
         With `moves_starts` each agent begins where it does in a random episode of the same home, unless both would be
         too close to each other. There are then as many combinations as pairs of episodes in a home.

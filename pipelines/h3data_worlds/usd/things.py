@@ -202,7 +202,7 @@ class ThingFinder:
             )
 
     def _copies(self, prim: Any, body: str, visible: bool) -> None:
-        """Yield the copies that a point instancer makes of its prototypes, as separate things."""
+        """Add the copies that a point instancer makes of its prototypes, as separate things."""
         instancer = self._instancer(prim)
         which = np.asarray(instancer.GetProtoIndicesAttr().Get(self._time) or (), np.int64)
         prototypes = instancer.GetPrototypesRel().GetForwardedTargets()

@@ -425,7 +425,7 @@ class RobotDriver:
             self.joints[self._arm] = self.arm_goal[self._arm] if far <= most else arm + missing * (most / far)
 
     def _choose_base(self) -> None:
-        """Return a base that also keeps clear by the held object, once there is room for it."""
+        """Let the base also keep clear by the held object, once there is room for it."""
         # the same record: the discs of the base cover what is carried already
         if self._carrying_base is self.empty_base:
             return

@@ -640,7 +640,7 @@ class Household(Team):
 
 @kernel(error_model="numpy")
 def _reached(poses, goals, held_by, within, at_goal):
-    """Return whether objects with poses [K, 7] that nobody holds are ``within`` [m] of goals [K, 3], into ``at_goal`` [K]."""
+    """Write to ``at_goal`` [K] whether free objects with poses [K, 7] are ``within`` [m] of goals [K, 3]."""
     for k in range(len(goals)):
         dx, dy, dz = poses[k, 0] - goals[k, 0], poses[k, 1] - goals[k, 1], poses[k, 2] - goals[k, 2]
         # strictly nearer, in three dimensions, as Habitat's object_at

@@ -69,7 +69,7 @@ def _alone(human: Mapping[str, Sequence[ReportEpisode]], steps: str) -> float:
 
 
 def _row(name: str, found: RankAgreement, steps: str, alone: float) -> Row:
-    """Return a row: ``steps`` by whose mean efficiency is ranked, and ``alone`` the mean without a robot."""
+    """Return a row; efficiency is ranked by the mean of ``steps``, ``alone`` is their mean without a robot."""
     if not steps:
         people, small = _order(found.names, found.second_means), ""
     elif alone == alone:

@@ -277,7 +277,7 @@ class _Gathered:
 
 
 def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[ReportEpisode]:
-    """Yield the episode once for each of its partners (``info["partners"]`` of ``--save-recordings``)."""
+    """Return the episode once for each of its partners (``info["partners"]`` of ``--save-recordings``)."""
     if not shared_by(info):
         return [episode]
     return [

@@ -486,7 +486,10 @@ def _ankle(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _keep_shape(table, k, f, state, foot, shape):
-    """Return (pitch, bend, forward, up) of a foot that has just left the floor or landed, with its earlier shape."""
+    """Keep the earlier ``shape`` (pitch, bend, forward, up) of a foot that has just left the floor or landed.
+
+    The state stores the difference from the gait, which fades later.
+    """
     at = FOOT + foot * FOOT_COLUMNS
     # the difference is kept and fades: the shape itself must not jump from that of a standing to that of a swinging
     # foot
@@ -873,10 +876,7 @@ def _will_lack(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _settle_pelvis(table, k, f, state, dt):
-    """Return how far the pelvis must be below that of the gait for the planted feet.
-
-    The pelvis sinks at once and rises slowly.
-    """
+    """Lower the pelvis below that of the gait as far as the planted feet need it."""
     sink, climbs = 0.0, table.heights.shape[0] > 0
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS

@@ -83,7 +83,7 @@ class SkillPlay(NamedTuple):
     """True if the skill reached its time limit, bool [W]."""
 
     def tensors(self) -> Iterator[Tensor]:
-        """Return all tensors, in a fixed order."""
+        """Yield all tensors, in a fixed order."""
         for part in self:
             yield from (part if isinstance(part, tuple) else (part,))
 
