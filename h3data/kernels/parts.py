@@ -20,8 +20,8 @@ from numba.core.typed_passes import NativeLowering
 class _PartLibrary(JITCodeLibrary):
     """LLVM module of a function that is linked into the kernels that call it.
 
-    numba would optimise the module together with all functions that it calls, and compile it to machine code that
-    nobody runs. Skipping this saves a third of the compile time (21 of 36 s for the gait of people).
+    numba would optimise the module together with all functions that it calls, and compile it to machine code that is
+    never run. Skipping this saves a third of the compile time (21 of 36 s for the gait of people).
     """
 
     def _optimize_functions(self, ll_module: Any) -> None:

@@ -143,7 +143,7 @@ def carrier_of(replay: Replay, name: str) -> int | None:
 
 
 def _mounted(replay: Replay, name: str) -> CameraTrack | None:
-    """Return the camera that an agent carries (`carrier_of`); None: nobody does."""
+    """Return the camera that an agent carries (`carrier_of`); None if no agent carries it."""
     # names of videos are names of files, so that `agent/name` becomes `agent.name`
     index, camera_name = carrier_of(replay, name), name.rpartition("/")[2]
     if index is None:

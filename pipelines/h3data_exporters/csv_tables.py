@@ -152,7 +152,7 @@ def _texts(values: np.ndarray) -> list[str]:
 
 
 def _harmless(rows: Iterable[Sequence[Any]]) -> Iterable[list[Any]]:
-    """Return rows with names and words of whoever made the recording: no spreadsheet runs them."""
+    """Return rows in which names and words from the recording cannot be run as formulas by a spreadsheet."""
     return ([spreadsheet_cell(cell) for cell in row] for row in rows)
 
 

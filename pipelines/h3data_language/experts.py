@@ -61,7 +61,7 @@ class Plan:
         self.kinds = kinds
         self.handled: set[int] = set()
         self.brought: set[int] = set()
-        """Errands whose things have been put at their goals, where they are as long as nobody sees them elsewhere."""
+        """Errands whose things have been put at their goals, where they remain until an agent sees them elsewhere."""
         self.doing: dict[int, int] = {}
         """Errand of each agent."""
         self.begun: dict[int, int] = {}
@@ -324,10 +324,10 @@ class Talker(Speaker, Expert):
         Expert.__init__(self, episode, number, kinds, greedy=False)
         self.begun = True  # the plan is not shared
         self._finished: set[int] = set()
-        """Errands of which somebody has said that they are done."""
+        """Errands that an agent has reported as done."""
         self._known: set[int] = set()
         self._in_the_way = self._steps_aside = False
-        """True if somebody has asked it to move and it has not yet; true while it walks out of the way."""
+        """True if another agent has asked it to move and it has not moved yet; true while it walks out of the way."""
 
     def _choose(self, view: RearrangeView) -> Action:
         """Return the next skill as of the other experts; who has nothing to do and is asked to move goes elsewhere."""

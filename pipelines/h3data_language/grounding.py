@@ -22,7 +22,7 @@ from h3data_language.templates import HANDLING, PREDICATES, TEMPLATES, Template
 FLOOR = "floor of "
 """Prefix of the names of places on the floor of rooms."""
 _UNNAMED = ("toilet", "bathroom_sink", "wine_rack", "washer", "dryer")
-"""Furniture on which nobody is asked to put something."""
+"""Furniture that no instruction names as a place to put something."""
 _ROOMS = {"living": "living room", "child": "child's room", "dining": "dining room", "laundry": "laundry room"}
 
 

@@ -45,7 +45,7 @@ class Teller(Speaker):
         """For each object the agent that has said to take it, and when."""
         self._known: set[int] = set()
         self._hinted = False
-        """True if somebody has said where an object is that is not known, and the planner has not chosen since."""
+        """True if another agent has stated the place of an unknown object, and the planner has not chosen since."""
 
     @property
     def interrupts_every(self) -> int:

@@ -37,7 +37,7 @@ TEXT_RULES = (
 
 
 class Decision(NamedTuple):
-    """One answer of a language model, as it is recorded."""
+    """Answer of a language model, in the form in which recordings store it."""
 
     step: int
     request: str

@@ -290,7 +290,7 @@ def _flight(own: Array, stance: float, strike_m: float, stride_m: float) -> Arra
 
 
 def _with_fingers(quats: Array, legs: Legs) -> Array:
-    """Return the rotations with the fingers of somebody who stands where fingers have not been captured."""
+    """Return the rotations, with the fingers of a standing person if fingers have not been captured."""
     still = 2 * np.arccos(np.clip(np.abs(quats[:, _FINGERS, 3]), 0, 1)).max() < STILL_RAD
     if still:
         quats = quats.copy()

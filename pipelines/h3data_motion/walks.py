@@ -96,7 +96,7 @@ def walk_of(motion: Motion) -> Motion:
 
 
 def _walked(motion: Motion) -> Motion:
-    """Return the longest part of a motion in which somebody walks steadily."""
+    """Return the longest part of a motion in which the person walks steadily."""
     count = max(2, round(PACE_S * motion.fps))
     pace = np.linalg.norm(motion.pelvis[count:, ::2] - motion.pelvis[:-count, ::2], axis=1) * motion.fps / count
     fastest = float(np.percentile(pace, 95))

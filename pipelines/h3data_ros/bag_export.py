@@ -215,7 +215,7 @@ class _Mover:
 
 
 class _Export:
-    """One bag while it is written; messages come in the order of their times."""
+    """Bag that is being written, with messages in the order of their times."""
 
     def __init__(self, recording: Recording, bag: Writer, cameras: Sequence[BagCamera], lidar_rays: int) -> None:
         self._recording, self._bag, self._cameras = recording, bag, cameras

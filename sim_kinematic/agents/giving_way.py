@@ -95,7 +95,7 @@ class GivingWay:
         self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
         """Place of each agent; of the one whose turn it is, before that."""
         self._seen: dict[int, ObservedAgent] = {}
-        """Agents as others see them, for those whom somebody has looked at since they last acted."""
+        """Agents as others see them, computed for agents that others have observed since their last action."""
         self._settled = np.zeros(len(actors), np.bool_)
 
     @cached_property

@@ -446,7 +446,7 @@ class PersonActor:
     def _go_aside(self, towards: NDArray) -> None:
         """Make one step towards a floor point [2] to step aside, and turn to it meanwhile.
 
-        Whoever turned on the spot first stood in the other's way for another 1.3 s.
+        People who first turned on the spot would block the other agent for another 1.3 s.
         """
         gait, before = self._gait_here(), self._posture()
         stopped, leg = gait.copy(), towards - self.xz
@@ -526,7 +526,7 @@ class PersonActor:
         return True
 
     def _walked(self, before: Any) -> None:
-        """Record a step of walking that nobody has stopped, and the posture before it."""
+        """Record a step of walking that was not stopped, and the posture before it."""
         self._trail.append(before)
         self._held_up = 0
 

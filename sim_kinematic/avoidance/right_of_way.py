@@ -161,7 +161,8 @@ class RightOfWay:
             walker.aside = self._requests[number].route if number in self._requests else None
 
     def _all_are_clear(self, starts: Mapping[int, list[float] | None]) -> bool:
-        """Return whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
+        """Return whether no agent can be asked to step aside in this step. In homes for two that is so in nine steps of
+        ten."""
         return not any(self._may_block(other, me, starts) for other, me in self._pairs)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
@@ -355,7 +356,7 @@ class RightOfWay:
         return None
 
     def _leaves_refuge(self, walker: Walker, request: _Request) -> bool:
-        """Return whether an agent goes on from its refuge, or from the path to it."""
+        """Return whether an agent continues from its refuge, or from the path to it."""
         other = self._walkers[request.by]
         obeys = self._stand_offs is None or self._stand_offs.errand(other.number).obeys
         if not obeys and request.steps % AVOIDANCE.looks_steps == 0:

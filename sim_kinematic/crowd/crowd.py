@@ -212,7 +212,7 @@ class Crowd:
         return places[:people], self._body[:, 0].copy()
 
     def _move_busy(self, m: int, places: Array, radii: Array, step: int) -> None:
-        """Move a person who is at a station by one step in ``places`` [N, 2], unless somebody is in the way."""
+        """Move a person who is at a station by one step in ``places`` [N, 2], unless another agent is in the way."""
         was, share = places[m].copy(), self.seats[m, 1]
         station, motion = self._busy[m]
         moved = self._waits.pop(m, None) or next(motion, None)

@@ -145,7 +145,7 @@ class WebServer:
         self._left: set[str] = set()
         """Seats that other browsers have now, under other names."""
         self.finishes = True
-        """True if recordings are finished when the server stops; else the next server goes on with them."""
+        """True if recordings are finished when the server stops; else the next server continues them."""
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:

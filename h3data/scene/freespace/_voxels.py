@@ -157,7 +157,7 @@ def flood_surfaces(columns: NDArray, total: int, climb: int, head: int) -> tuple
 
 @kernel()
 def _headroom(columns: NDArray, i: int, j: int, k: int, u: int, v: int, w: int, head: int) -> bool:
-    """Return whether somebody standing on the higher of two surfaces also fits above the lower one."""
+    """Return whether a person standing on the higher of two surfaces also fits above the lower one."""
     ny = columns.shape[2]
     top = max(k, w)
     if k < w:

@@ -28,7 +28,7 @@ ROBOT, PEOPLE = "#d1495b", ("#30638e", "#3d8f5f", "#8a5a9e", "#b7791f", "#4a4a4a
 
 
 def draw(name: str, recording: Recording, free: FreeSpace) -> Image.Image:
-    """Return an episode from above: the free floor in white, and where everybody goes."""
+    """Return an episode from above: the free floor in white, and the paths of all agents."""
     extra, pixels = recording.episode.info["extra"], SIZE * FINER
     tracks = [recording.columns[f"agent_{k}.base_pose"][:, [0, 2]] for k in range(len(recording.agents))]
     everything = np.vstack([*tracks, [extra["goal"]]])

@@ -60,7 +60,7 @@ def cutaway(scene: Scene, width: int, height: int) -> Camera:
 
 
 def on_landing(scene: Scene, *, upper: bool, width: int, height: int) -> Camera:
-    """Return the view of somebody who stands on a landing and looks along the stairs."""
+    """Return the view of a person who stands on a landing and looks along the stairs."""
     room = stairs_of(scene)
     assert room.ramp is not None
     x0, z0, x1, z1 = room.rectangles[0].tolist()

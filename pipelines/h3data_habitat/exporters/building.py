@@ -77,7 +77,7 @@ def _world_box(scene: Scene, instance: Instance) -> NDArray[np.float64]:
 
 
 def _without_roof(mesh: Mesh, matrix: NDArray[np.float64], ceilings: Sequence[NDArray[np.float64]]) -> Mesh:
-    """Return the mesh without what faces up on or in a ceiling, which nobody sees from inside.
+    """Return the mesh without upward faces on or in a ceiling, which are invisible from inside.
 
     habitat-sim bakes its navmesh from the stage: the roof was the largest island. A ceiling whose underside alone is left
     is too steep to walk on, and tops of walls in it would lend it their walkability (``rcAddSpan`` merges spans).

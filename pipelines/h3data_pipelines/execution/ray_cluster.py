@@ -108,7 +108,7 @@ def _connect(ray: Any, address: str, workers: int) -> None:
 
 
 def _dial(where: str) -> None:
-    """Fail fast where nobody listens: Ray itself tries for half a minute."""
+    """Fail fast if no cluster listens, because Ray itself tries for half a minute."""
     host, _, port = where.removeprefix("ray://").rpartition(":")
     if not host or not port.isdigit():
         raise InputError(

@@ -116,7 +116,7 @@ def social_series(recording: Recording) -> Series:
 
 @dataclass(frozen=True)
 class _Contacts:
-    """Whom the robot of an episode touches; None where nobody recorded it."""
+    """People whom the robot of an episode touches; None if it was not recorded."""
 
     people: Flags | None
     """[T, P]."""
@@ -240,7 +240,7 @@ class _Crowd:
         return (self.speed < STALLED_M_S) & (self.turn / self.seconds < STALLED_RAD_S)
 
     def nearest_person(self, episode: int) -> int:
-        """Return the column of the person whom the robot of an episode comes nearest; 0 if nobody knows."""
+        """Return the column of the person whom the robot of an episode comes nearest; 0 if unknown."""
         rows = slice(self.rows.starts[episode], self.rows.ends[episode])
         return nearest_of(self.gaps[rows])
 
@@ -414,7 +414,7 @@ def _group_gaps(recording: Recording, robot: int) -> tuple[Array, Array]:
 
 
 def _of_groups(recording: Recording, robot: int) -> dict[str, float]:
-    """Return metrics of groups; none where nobody walks or talks in one."""
+    """Return metrics of groups; none if no person walks or talks in a group."""
     gaps, radii = _group_gaps(recording, robot)
     seen = np.asarray(~np.isnan(gaps).all(axis=1))
     if not gaps.shape[1] or not seen.any():

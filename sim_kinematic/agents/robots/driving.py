@@ -194,7 +194,7 @@ class RobotDriver:
         return SkillResult("done")
 
     def _wait(self, steps: int) -> Skill:
-        """Stand where nobody needs the floor."""
+        """Stand at a place that no other agent needs."""
         # agents that agree are asked to step aside when somebody comes, so they need no retreat
         goal = None if self.agreed else retreat_place(self.free, self.xz, self.others, wider_m=wider_by(self.base))
         for _ in range(steps):

@@ -157,7 +157,7 @@ class Household(Team):
     def _actor(self, number: int) -> RobotActor | PersonActor:
         """Return the actor that carries out the skills of an agent.
 
-        The rules choose between learned and oracle skills. A person whom somebody drives from outside has an actor of its own.
+        The rules choose between learned and oracle skills. A person who is driven from outside has a separate actor.
         """
         world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
         if isinstance(body, Robot):

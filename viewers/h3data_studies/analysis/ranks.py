@@ -62,7 +62,7 @@ def rank_table(runs: Sequence[Run]) -> Table | None:
 
 
 def _alone(human: Mapping[str, Sequence[ReportEpisode]], steps: str) -> float:
-    """Return the mean steps of people without a robot; NaN if nobody was alone."""
+    """Return the mean steps of people without a robot; NaN if no person was alone."""
     alone = [e.metrics.values[steps] for key, episodes in human.items() if key.startswith("solo") for e in episodes]
     known = [value for value in alone if value == value]
     return float(np.mean(known)) if known else NAN

@@ -65,7 +65,7 @@ LANDING_M, LANDING_RAD = 0.06, 0.20
 FIRST_SHARE = 0.25
 """Share of its stance that the standing foot has passed when the other foot starts the first step of a walk."""
 JUMP_M = 0.5
-"""Distance in one step above which the root was placed anew, so that the person stands [m]."""
+"""Distance in one step above which the root has been set to a new place, so that the person stands [m]."""
 MOST_STEPS, LEAST_S, SAME_S = 30, 1e-3, 1e-6
 """Largest number of steps between two rows, shortest step `LEAST_S` [s], and `SAME_S`, the difference below which steps
 are equally long [s]: times of recordings are whole nanoseconds, and 33,333,333 ns for 1/30 s moved feet by up to 5 cm,
