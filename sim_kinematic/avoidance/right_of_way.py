@@ -161,8 +161,10 @@ class RightOfWay:
             walker.aside = self._requests[number].route if number in self._requests else None
 
     def _all_are_clear(self, starts: Mapping[int, list[float] | None]) -> bool:
-        """Return whether no agent can be asked to step aside in this step. In homes for two that is so in nine steps of
-        ten."""
+        """Return whether no agent can be asked to step aside in this step.
+
+        In homes for two agents this is the case in nine steps of ten.
+        """
         return not any(self._may_block(other, me, starts) for other, me in self._pairs)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
