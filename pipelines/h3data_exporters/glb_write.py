@@ -22,9 +22,9 @@ from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.srgb import bytes_to_linear
 
 _PIXELS = {"magFilter": 9728, "minFilter": 9728, "wrapS": 33071, "wrapT": 33071}
-"""Sampler: nearest, clamped."""
+"""Texture sampler: nearest, clamped."""
 _SMOOTH = {"magFilter": 9729, "minFilter": 9987}
-"""Sampler: linear with mipmaps, repeated."""
+"""Texture sampler: linear with mipmaps, repeated."""
 _BLOCK_PX = 4
 """Side of the square of one colour in the palette: viewers that make mipmaps get two levels without bleeding."""
 

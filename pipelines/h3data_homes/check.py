@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _HAND_M = 1.1
 """Greatest distance from the centre of a receptacle to walkable floor [m]."""
 _HANGS_M = 1.2
-"""Furniture whose lowest shape is higher is not walked up to [m]."""
+"""Height of the lowest shape of furniture above which agents need not be able to walk up to it [m]."""
 _REACH_SLACK = 0.01
 """Error of the polygons that stand for circles [m]."""
 

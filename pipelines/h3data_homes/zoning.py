@@ -19,7 +19,7 @@ CORRIDOR_WIDTH = (1.3, 1.42)
 NOTCH_SHARE = (0.15, 0.30)
 """Range of the share of the bounding box that an L- or T-shaped footprint omits."""
 _SQUARE_BELOW_M2 = 90.0
-"""Smaller homes are rectangles: they have too few rooms to go around a corner."""
+"""Area below which homes are rectangles, because they have too few rooms to go around a corner [m2]."""
 _SHAPES, _TRIALS, _WORST = 4, 100, 2.0
 """Footprint shapes tried, plans tried per shape, and the largest acceptable penalty."""
 

@@ -194,7 +194,7 @@ class Plan:
 
 
 _SHARED: WeakKeyDictionary[Any, Plan] = WeakKeyDictionary()
-"""The plan of each episode that is played, which its experts share."""
+"""Plan of each episode that is being played, which its experts share."""
 
 
 class Expert:

@@ -136,14 +136,14 @@ class _Stage:
     """A place to which a thing is brought."""
 
     rank: int
-    """Number of propositions that come before it in sequence."""
+    """Number of propositions that come before the stage in sequence."""
     furniture: set[str] | None = None
-    """Furniture that will do; None: that of the anchor."""
+    """Furniture that is suitable; None: that of the anchor."""
     inside: bool = False
     anchor: str = ""
-    """Thing next to which it has to be."""
+    """Thing next to which the thing has to be."""
     of: list[int] = field(default_factory=list)
-    """Propositions that become true by it."""
+    """Propositions that become true by the stage."""
 
 
 @dataclass(eq=False)

@@ -41,7 +41,7 @@ _SUN = (9.0, 8.2, 6.8)
 _GLASS, _GLOW = 1.5, 1.8
 """Brightness of window panes and lamps, in units of the flat light."""
 _VIEW = 1.5
-"""Brightness of what is seen through panes, in units of the flat light."""
+"""Brightness of the view through panes, in units of the flat light."""
 _DARK = 1e-4
 """Median irradiance below which a scene has no light."""
 

@@ -23,7 +23,7 @@ SPACING_VOXELS = 10
 """Number of voxels between two points of the light field's grid."""
 _RAYS = 64
 _FARTHEST_M = 4.0
-"""Shadows do not reach farther."""
+"""Greatest distance that shadows reach [m]."""
 MOST = 0.85
 """Largest share of the light that comes from one direction; the rest comes from sky and walls."""
 FROM_DISC = float(0.5 * (1 + 1 / np.sqrt(1 + SPREAD**2)))

@@ -18,11 +18,11 @@ from h3data_light.voxels import GLASS, PROBE_VOXELS, march, sees
 RAYS = (96, 64)
 """Number of rays of a probe for the first bounce of light and for the second."""
 _USEFUL = PROBE_VOXELS + 2
-"""Probes farther from all surfaces [voxels] light none."""
+"""Distance from all surfaces [voxels] beyond which probes light nothing."""
 _FAINT = 0.02
 """Irradiance below which a window or lamp is left out."""
 _ROTATIONS = 8
-"""Neighbouring probes cast different rays; `_blur` averages them."""
+"""Number of rotations of the rays of probes, which differ between neighbours; `_blur` averages them."""
 
 
 class Probes(NamedTuple):

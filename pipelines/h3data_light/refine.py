@@ -22,17 +22,17 @@ _BEND = 0.075
 """Difference of brightness (square root of light, 1 = mean) between the middle of an edge and the mean of its ends above
 which the edge is cut."""
 _FLAT = 0.15
-"""Difference between the ends below which the middle of an edge of up to `_NEAR_M` is not looked at."""
+"""Difference between the ends of an edge of up to `_NEAR_M` below which its middle is not tested."""
 _NEAR_M = 0.4
 _BRIGHTEST = 1.8
-"""Brighter light looks much the same."""
+"""Brightness above which differences of light are hardly visible."""
 _UPWARD, _CONTACT_M = 0.7, 0.3
 """Least upward component of normals of surfaces on which edges longer than the second number are cut where they run
 under something."""
 _APART = 0.4
-"""Edges whose middle is hidden are cut if their ends differ more."""
+"""Difference of the ends above which an edge is cut although its middle is hidden."""
 _UNDER = 0.75
-"""Light of what lies hidden under furniture, in units of that beside it."""
+"""Light of surfaces hidden under furniture, in units of that beside it."""
 _SMOOTH_M, _SMOOTHINGS = 0.22, 2
 """Distance of neighbours from which vertices take light, and number of repetitions: shadows get soft edges rather than
 the mesh's."""

@@ -23,7 +23,7 @@ GLASS = 255
 """Value of voxels of window panes: transparent for the sun, opaque for all other rays (see `direct`)."""
 _FARTHEST = 100
 _HOLLOW_M3 = 3.0
-"""Smaller closed hollows are the inside of furniture and of walls: points of other surfaces in there are hidden."""
+"""Volume below which a closed hollow is the inside of furniture or walls, where points of other surfaces are hidden."""
 
 
 class Voxels(NamedTuple):

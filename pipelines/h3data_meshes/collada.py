@@ -68,7 +68,7 @@ class _Look:
     color: tuple[int, int, int] = DEFAULT_COLOR
     texture: Texture | None = None
     texcoord: str = ""
-    """The name that the material gives to its texture coordinates."""
+    """Name that the material gives to its texture coordinates."""
 
 
 def read_collada(path: Path, resource: Callable[[str], bytes]) -> list[ColladaPart]:

@@ -104,7 +104,7 @@ class _Mapped:
     name: str
     table: NameTable
     index: Mapping[str, int]
-    """Our joint: index in the file."""
+    """Index in the file of each of our joints."""
 
 
 def load_name_table(name: str | Path) -> NameTable:
@@ -341,7 +341,7 @@ def _corrections(found: _Mapped, places: Array, upright: Array, where: str) -> d
 
 
 _OWN_TURN = {False: ("_hip", "_collar", "_ankle"), True: ("_hip", "_collar")}
-"""Joints that do not go with a limb of the rest pose that is off a T-pose; hands, fingers and toes do."""
+"""Joints that do not turn with a limb whose rest pose differs from a T-pose; hands, fingers and toes do."""
 
 
 def _mapped_parent(name: str, mapped: Mapping[str, Array]) -> str:

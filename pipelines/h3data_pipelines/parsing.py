@@ -31,7 +31,7 @@ from h3data_pipelines.option_words import KINDS, read_value
 
 _CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
 _SILENT = ("None", "False", "", "''")
-"""Defaults that help leaves out: they only mean that the option is not given."""
+"""Defaults that help leaves out, because they only mean that the option is not given."""
 _COMMON_HELP = (
     "Every command also takes --config JOB.toml (options by name, those given here win), --quiet (no progress), and "
     "--trust MODULE (files may name what is in this Python module; repeatable)."

@@ -61,7 +61,7 @@ class Part:
         self.instance = np.repeat(instances.astype(np.int32), counts)
         cut_out = scene.cut_out_faces[self._scene_face]
         self._whole = int((~cut_out).sum())
-        """Number of triangles without holes; they come first."""
+        """Number of triangles without holes, which come first."""
         if self._whole < len(cut_out):
             order = np.argsort(cut_out, kind="stable")
             self._faces = self._faces[order]

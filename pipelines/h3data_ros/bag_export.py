@@ -65,7 +65,7 @@ class _RobotScan(NamedTuple):
     first_rad: float
     """Angle of the first ray from straight ahead, positive to the left; the others follow to the left."""
     most_m: float
-    """Greatest distance that can be measured."""
+    """Greatest distance that the scanner can measure [m]."""
 
 
 class _Described(NamedTuple):
@@ -202,16 +202,16 @@ class _Mover:
 
     number: int
     name: str
-    """Its name in topics and frames."""
+    """Name of the mover in topics and frames."""
     frame: str
     poses: NDArray[np.float64]
-    """In the frame ``map`` [T, 7]."""
+    """Poses in the frame ``map`` [T, 7]."""
     velocity: NDArray[np.float64]
-    """In the frame ``map`` since the row before [T, 2] [m/s]; 0 where unknown."""
+    """Velocity in the frame ``map`` since the row before [T, 2] [m/s]; 0 where unknown."""
     turning: NDArray[np.float64]
     """Turn to the left since the row before [T] [rad/s]; 0 where unknown."""
     known: NDArray[np.bool_]
-    """Rows in which it is there [T]."""
+    """Rows in which the mover is present [T]."""
 
 
 class _Export:

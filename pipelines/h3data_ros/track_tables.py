@@ -30,7 +30,7 @@ EPOCH_S = 1e8
 MAGNI_HZ = 100.0
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?nan\s*", re.IGNORECASE)
 _HEADER_LINES = 200
-"""A table of THÖR-MAGNI begins with lines about the file."""
+"""Largest number of lines about the file before the header of a THÖR-MAGNI table."""
 _MARKER = re.compile(r"(?P<body>\S+) (?:Centroid_|- \d+ )(?P<axis>[XY])$")
 
 

@@ -148,7 +148,7 @@ class Learner:
         self._row = torch.zeros(1, dtype=torch.int64, device=device)
         """Row of the buffers that the next decision fills."""
         self._shown = worlds.shown if settings.teacher > 0 and worlds.shown is not None and worlds.shown.any() else None
-        """Worlds in which the teacher acts, bool [W]; None: it acts in none."""
+        """Worlds in which the teacher acts, bool [W]; None if it acts in none."""
         self._decide = {taught: self._decision(taught) for taught in {False, settings.teacher > 0}}
 
     def update(self, plan: Schedule) -> dict[str, float]:

@@ -129,7 +129,7 @@ class _Job:
     name: str
     bank: Bank | None
     began: float
-    """By the clock on the wall, which all processes see [s]."""
+    """Start of the job by the wall clock, which all processes see [s]."""
 
     def load_checkpoint(self) -> dict[str, Any] | None:
         """Return the checkpoint to go on from."""

@@ -59,7 +59,7 @@ _RUNNING = {"memory", "nstack", "njmax", "nconmax"}
 _MAKERS = ("replicate", "composite", "flexcomp", "plugin")
 _FORMAT = 2
 _DRAWN_GROUPS = 3
-"""Groups 0 to 2 are those that MuJoCo's viewer draws; many robots have their collision shapes in group 3."""
+"""Number of geom groups that MuJoCo's viewer draws, 0 to 2; many robots have their collision shapes in group 3."""
 
 
 def read_mjcf(path: str | Path, *, warn: bool = True) -> Urdf:

@@ -93,7 +93,7 @@ class GivingWay:
         self._acted: set[int] = set()
         """Agents that have acted in this step."""
         self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
-        """Place of each agent; of the one whose turn it is, before that."""
+        """Place of each agent; for the agent whose turn it is, the place before that."""
         self._seen: dict[int, ObservedAgent] = {}
         """Agents as others see them, computed for agents that others have observed since their last action."""
         self._settled = np.zeros(len(actors), np.bool_)

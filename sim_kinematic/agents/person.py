@@ -189,7 +189,7 @@ class Person:
         """Position on the floor [2] [m], a view."""
         # place and heading are the state's own arrays, so they follow it without copies
         self._drawn = replace(self.state, arms=np.zeros((1, 2)))
-        """The same place, and how far the arms are folded in."""
+        """Same place, and how far the arms are folded in."""
         self.tilts: dict[Hand, float] = {"left": 0.0, "right": 0.0}
         """Share of the hand's tilt by which a held thing turns, 0 (it stays upright) to 1."""
         self._close: dict[Hand, float] = {"left": 0.0, "right": 0.0}
@@ -213,7 +213,7 @@ class Person:
         self._closing: dict[Hand, float] = {}
         self._carry_arms: dict[Hand, Array] = {}
         self._carried: dict[Hand, tuple[float, Array]] = {}
-        """Rotations of arms that hold something out, and as close to the body as they were last."""
+        """Rotations of arms that hold something out, and at their last closeness to the body."""
         self._stand()
 
     @property

@@ -62,14 +62,14 @@ class _Request:
     """A request to step aside."""
 
     by: int
-    """The agent that asked; the asked one itself where all others step aside for it."""
+    """Agent that asked, or the asked agent itself if all others step aside for it."""
     route: NDArray[np.float64]
-    """Points [N, 2] still to go."""
+    """Remaining points [N, 2] of the way."""
     steps: int = 0
     stays_steps: float = 0
-    """It leads to a refuge, at which the agent stays for so long at most; 0: it does not."""
+    """Largest number of steps for which the agent stays at a refuge; 0 if the way leads to none."""
     stayed: int = 0
-    """Number of steps since it got there."""
+    """Number of steps since the agent arrived."""
     chose_at: tuple[float, float, float] | None = None
     """Place ``(x, z, heading)`` of the other agent, which is driven from outside, when the agent last made a new
     choice."""

@@ -165,7 +165,7 @@ class Chooser:
     """Function that chooses one of the remaining objects; None means to wait."""
     _object: int = -1
     _avoid: dict[int, int] = field(default_factory=dict)
-    """Objects at which it failed, and until which step it leaves them."""
+    """Objects at which the agent failed, and the step until which it avoids each."""
 
     def act(self, view: RearrangeView) -> Action:
         """Return the next action for the object in hand, or for the preferred one.

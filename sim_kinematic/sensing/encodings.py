@@ -20,7 +20,7 @@ SPEED_MPS = 2.5
 DETECTOR = "humanoid_detector"
 """Name of a flag that is computed from a picture, and is therefore not in the table."""
 _FLAG = Sensor(abs, (0.0,), (1.0,))
-"""Stand-in for its row."""
+"""Sensor of a flag, which is used in place of the row of the table."""
 
 
 class Encoding(NamedTuple):

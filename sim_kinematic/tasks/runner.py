@@ -241,7 +241,7 @@ class _Inbox(External):
         super().__init__(interrupts_when_close=external.interrupts_when_close)
         self.pending: Any = None
         self.latest: Any = None
-        """The last command that the agent has followed."""
+        """Last command that the agent has followed."""
         self.has_news = False
         """True if `pending` has not been followed yet."""
         self.is_urgent = False

@@ -18,7 +18,7 @@ from sim_kinematic.tasks.runner import Session, StepResult
 from sim_kinematic.tasks.task import Task
 
 _LEAF = "leaf"
-"""The part of a door between rooms, in homes of the generator."""
+"""Part name of a door between rooms, in homes of the generator."""
 
 
 @dataclass(frozen=True, kw_only=True)

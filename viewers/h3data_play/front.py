@@ -138,9 +138,9 @@ class WebServer:
         self._said_full = -math.inf
         """Time of the last message to the operator that the database cannot be written."""
         self._loading: dict[str, float] = {}
-        """When seats were given to browsers that have not connected since, by the clock."""
+        """Times at which seats were given to browsers that have not connected since, by the clock."""
         self._gone: dict[str, float] = {}
-        """When browsers were last connected to their seats, if not since this server began."""
+        """Times at which browsers were last connected to their seats, if not since the start of this server."""
         self._began = clock()
         self._left: set[str] = set()
         """Seats that other browsers have now, under other names."""

@@ -246,7 +246,7 @@ class LiveGame:
                 policies[episode.roster[k].name] = assigned
         self._told_until = 0
         self._told: dict[int, dict[int, Any]] = {}
-        """Their recorded commands by agent and step, while a game is played again."""
+        """Recorded commands of policies behind servers by agent and step, while a game is played again."""
         self.sink: PatientSink | None = None
         self.leftover: Path | None = None
         """Recording that the game resumes, until its content is in its own log."""

@@ -150,9 +150,9 @@ class Worker:
         self._prepared: dict[tuple[int, int], dict[str, Any]] = {}
         self._homes_ahead = self.homes_ahead()
         self._waiting: deque[tuple[str, dict[str, Any], float]] = deque()
-        """Games that are to begin: key, order, since when."""
+        """Games that are about to begin: key, order, and time since which they wait."""
         self._no_room: dict[str, dict[str, Any]] = {}
-        """Orders of games for whose beginning the disk has no room."""
+        """Orders of games that cannot begin because the disk is full."""
         self._tried = time.monotonic()
 
     def table(self, number: int) -> EpisodeFactory:

@@ -174,7 +174,8 @@ class StudyServer(WebServer):
             if participant.is_active and not participant.progress.rows:
                 self._unchecked[participant.number] = ""
         self._lobby: dict[int, tuple[str, float]] = {}
-        """Participants who wait for the other one of their pair: the stage, and since when by the clock."""
+        """Participants who wait for the other member of their pair: the stage, and the start of waiting by the clock.
+        """
         self._joins: dict[str, tuple[float, float]] = {}
         """Number of participants who may still join from an address, and the time of that count."""
 

@@ -57,7 +57,7 @@ _OLDER = {"info": b"null", "markers": b"{"}
 """Beginnings of values that other versions of Habitat wrote and nothing reads any more; they are kept in ``extra``."""
 _OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _BLOCK = 1000
-"""Episodes that are decoded at once: their matrices become one array, before the next block's numbers exist as objects."""
+"""Number of episodes that are decoded at once; their matrices become one array before the next block is read."""
 
 
 @dataclass

@@ -24,7 +24,7 @@ from h3data_exporters.glb_write import glb_bytes
 from h3data_habitat.scenes.colliders import part_mesh
 
 _MASS = '<inertial><origin xyz="0 0 0"/><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
-"""habitat-sim asks for a mass; things stand still all the same (``fixed_base``, ``KINEMATIC``)."""
+"""Element with a mass, which habitat-sim requires; things stand still all the same (``fixed_base``, ``KINEMATIC``)."""
 
 ReceptacleEntry = Callable[[Receptacle, NDArray[np.float64], str], dict[str, Any]]
 

@@ -62,11 +62,11 @@ NAVMESH_SETTINGS: Mapping[str, float | bool] = {
 ``includeStaticObjects``, so furniture has to be requested in Python (h3data docs habitat)."""
 
 _AXES = {"up": [0, 1, 0], "front": [0, 0, -1]}
-"""Always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
+"""Axes of the stage, which are always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
 _LEXICON = "semantics/h3data_semantic_lexicon.json"
 _ROOM_HEIGHT_M = 2.6
 _MARK = "h3data.habitat_export"
-"""Stands in the dataset config: ``force`` deletes no folder without it."""
+"""Mark in the dataset config; ``force`` deletes no folder without it."""
 
 
 def export_habitat(scene: Scene, folder: str | Path, *, split_building: bool = False, force: bool = False) -> Path:
@@ -160,7 +160,7 @@ class _Files:
     content: dict[str, bytes] = field(default_factory=dict)
     classes: dict[int, str] = field(default_factory=lambda: {0: "unknown"})
     articulated: bool = False
-    """True if anything opens."""
+    """True if any object of the scene can be opened."""
     navmeshes: dict[str, str] = field(default_factory=dict)
     """Paths of the navmeshes by handle."""
     _templates: dict[tuple[int, int], str] = field(default_factory=dict)

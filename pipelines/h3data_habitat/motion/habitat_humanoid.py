@@ -104,7 +104,7 @@ def _turn(axis: int, degrees: float) -> Array:
 
 _HALF_TURN = _turn(1, 180)
 _BASE_OF_ROOT = _turn(2, -90) @ _turn(1, -90)
-"""Root axes as the base names them."""
+"""Axes of the root in terms of the base."""
 _ROOT_OF_REACH = _turn(1, -90) @ _turn(2, -90)
 _REACH_OF_BASE = _turn(1, -90) @ _turn(0, -90)
 _WITHOUT_FORWARD = np.array([1.0, 1.0, 0.0])

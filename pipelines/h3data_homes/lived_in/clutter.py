@@ -25,7 +25,7 @@ _LIFT, _APART = 0.001, 0.012
 """Height of things above what they lie on, so that no contact is reported, and least distance between them [m]."""
 _TRIES = 6
 _SINK_M = 0.3
-"""Surfaces of kitchen counters narrower than this lie beside a sink."""
+"""Width of surfaces of kitchen counters below which they count as next to a sink [m]."""
 _FLOOR_GAP = (0.03, 0.09)
 """Distance of things on the floor from the wall or furniture behind them [m]."""
 _SEAT_M = 0.62

@@ -136,7 +136,7 @@ _FROM_M2 = 5.5
 _MOST_EXTRAS, _LARGE_EXTRAS = 4, 7
 _WALL_TRIES = 5
 _REACH_OVER_M = 0.55
-"""Deeper furniture has no shelf above it."""
+"""Depth of furniture above which it has no shelf above it [m]."""
 
 
 def model(name: str, rng: np.random.Generator, style: Style) -> Furniture:

@@ -38,7 +38,7 @@ LANDING_M = 1.35
 PASSAGE_M = 1.0
 """Width of the doorways to the stairwell [m]."""
 _STRETCH_M = 1.24
-"""Least length of a wall for such a doorway [m]."""
+"""Least length of a wall for a doorway to a stairwell [m]."""
 _UPSTAIRS: Mapping[str, str] = {"living": "den", "kitchen": "library", "garage": "office"}
 """Kinds of rooms upstairs in the places of some kinds of rooms of a plan."""
 _DARK_ROOM, _THROUGH_ROOM = 10.0, 1.5

@@ -24,7 +24,7 @@ from h3data_homes.zoning import Rect
 TOP_M = STOREY_M + WALL_HEIGHT
 """Height of the stairwell's ceiling above the ground floor [m]."""
 _LINING_M = 0.004
-"""The paint inside lies so far before the walls, whose other side is a facade."""
+"""Distance of the inner paint before the walls, whose other side is a facade [m]."""
 _SLAB_M, _NOSE_M, _SUNK_M = 0.04, 0.02, 0.02
 """Thickness of a tread, how far it stands out over its riser, and how far below it its collision box ends."""
 _RAIL_M, _RAIL_GAP_M, _RAIL_SIZE = 0.90, 0.05, (0.045, 0.05)

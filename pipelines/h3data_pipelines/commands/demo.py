@@ -175,7 +175,7 @@ class _Videos:
     def __init__(self, replay: Replay, out: Path) -> None:
         self.replay, self.out = replay, out
         self.written: Future[None] = Future()
-        """Done when all videos are."""
+        """Event that is set when all videos are written."""
         self._steps = range(0, len(replay), FRAME_EVERY)
         # one bar for all of them, later (`show_progress`)
         self._bar = progress(total=len(VIDEOS) * len(self._steps), desc="render", unit="frame", delay=math.inf)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from h3data.recording import Dataset
 
 _ROWS = 40
-"""Number of rows shown as text at most: the first ones, and the last of the first 10,000."""
+"""Largest number of rows shown as text: the first ones, and the last of the first 10,000."""
 _RECORDS = ("events", "skills", "agents", "bodies", "inputs")
 _TEXT, _WHOLE, _REAL = pa.string(), pa.int64(), pa.float64()
 _EPISODES = pa.schema(

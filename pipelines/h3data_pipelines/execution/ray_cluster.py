@@ -30,7 +30,7 @@ NODE_TRIES = 20
 _AHEAD = 4
 """Number of results that may wait for an earlier one, per worker."""
 _SLOW = 3.0
-"""A straggler takes this many times as long as the median of the shards before it."""
+"""Multiple of the median time of earlier shards above which a shard counts as a straggler."""
 _SLOW_S = 30.0
 """Least time after which a shard counts as a straggler: workers take seconds to start."""
 _DIAL_S = 5.0
@@ -163,7 +163,7 @@ class RayWorkers:
 @dataclass
 class _Attempt:
     index: int
-    """Which shard."""
+    """Index of the shard."""
     since: float
 
 

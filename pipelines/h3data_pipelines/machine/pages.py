@@ -117,7 +117,7 @@ def _entry(code: str, page: str) -> Outcome:
 
 
 _OF_SITE = ("index", "changes", "gallery")
-"""Pages that only the site has: they are made of other files, or of pictures."""
+"""Pages that only the site has, because they are made of other files or of pictures."""
 
 
 def _pages() -> dict[str, Path]:

@@ -119,11 +119,11 @@ class _Contacts:
     """People whom the robot of an episode touches; None if it was not recorded."""
 
     people: Flags | None
-    """[T, P]."""
+    """Contact with each person, [T, P]."""
     robots: Flags | None
-    """[T, number of other robots]."""
+    """Contact with each other robot, [T, number of other robots]."""
     walls: Flags | None
-    """[T, 1]."""
+    """Contact with walls, [T, 1]."""
     note: str = ""
 
     @property
@@ -185,15 +185,15 @@ class _Crowd:
     seconds: Array
     """Time since the previous row [R]; NaN in the first of an episode."""
     at: Array
-    """Robots on the floor [R, 2] [m]."""
+    """Places of robots on the floor [R, 2] [m]."""
     turn: Array
-    """Absolute changes of their heading [R] [rad]."""
+    """Absolute changes of the robots' heading [R] [rad]."""
     people: Array
-    """[R, P, 2] [m]."""
+    """Places of people on the floor [R, P, 2] [m]."""
     gaps: Array
     """Distances from the robot to each person [R, P] [m]."""
     nearest: Array
-    """The smallest of them [R] [m]."""
+    """Smallest distance from the robot to a person [R] [m]."""
     speed: Array
     """Speed of the robot since the previous row, shape [R] [m/s]."""
     goals: Sequence[Goal]

@@ -74,7 +74,8 @@ class ChooserLearner:
         self._x: dict[str, Tensor] = {}
         """The minibatch that a gradient step learns from."""
         self._means = torch.zeros(5, device=self.device)
-        """Means over it: losses of the critic and of guesses, entropy, KL divergence, share of clipped ratios."""
+        """Means over the minibatch: losses of the critic and of guesses, entropy, KL divergence, share of clipped
+        ratios."""
         self._step: Callable[[], None] = self._eager
 
     @property

@@ -222,7 +222,7 @@ def play_episode(job: Job, episode: RearrangeEpisode) -> Batch:
 
 # --- processes ----------------------------------------------------------------------------------------------------------
 _EPISODES: Sequence[RearrangeEpisode] = ()
-"""Episodes of this process, as they were when it was forked."""
+"""Episodes of this process, in their state when it was forked."""
 
 
 class Players:

@@ -60,7 +60,7 @@ class TensorSkillPolicy:
         self._names = [name for name, _ in cast]
         most = max(n for _, n in cast)
         self._rows = torch.zeros(len(cast), most, dtype=torch.int64, device=sim.device)
-        """Worlds of each network, [P, N]; one that has fewer has its last one several times."""
+        """Worlds of each network, [P, N]; a network with fewer worlds has its last one several times."""
         self._arrays: dict[str, Tensor] = {}
         self._kept: dict[str, Tensor] = {}
         """Rows of all steps, [T, W, ...] each."""
@@ -69,7 +69,7 @@ class TensorSkillPolicy:
         self._thought = torch.zeros(worlds, dtype=torch.int64, device=sim.device)
         self._noise = torch.zeros(0, device=sim.device)
         self._pictures = torch.zeros(worlds, 0, 0, dtype=torch.half, device=sim.device)
-        """Roots of the depth that robots saw at the last look, [W, H, W']."""
+        """Roots of the depth that robots saw in their last picture, [W, H, W']."""
         self._found = self._features = torch.zeros(worlds, 0, device=sim.device)
 
     @property

@@ -40,7 +40,7 @@ _BASE = (
 )
 _WALKER = ("speed_mps", "turn_rad_s", "turn_before_walk_rad", "arrive_m", "blend_s")
 _SCRIPTED = ("maneuvers",)
-"""Scripts drive no robot here."""
+"""Rules that matter only for scripted robots, which a device does not have."""
 _SAMPLED = ("spawn_distance_m", "agent_radius_m", "agent_height_m")
 HELD: Mapping[str, Held] = {
     SocialNav.name: Held(

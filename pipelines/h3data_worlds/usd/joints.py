@@ -28,10 +28,10 @@ class _Link:
     path: str
     kind: str
     parent: str
-    """Path of the body that it hangs on; empty: the world, or what stands still."""
+    """Path of the body to which the link is attached; empty: the world, or things that stand still."""
     child: str
     stands_on: str
-    """Path of the prim that it hangs on, body or not; empty: the world."""
+    """Path of the prim to which the link is attached, body or not; empty: the world."""
     origin: NDArray[np.float64]
     axis: NDArray[np.float64]
     lower: float

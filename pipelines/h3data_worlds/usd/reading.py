@@ -29,7 +29,7 @@ from h3data_worlds.usd.surfaces import SurfaceReader
 from h3data_worlds.usd.things import Gprim, Thing, ThingFinder, records_of
 
 _NEAR = 1e-5
-"""Numbers of a stage that differ less from those in our records are the same [m, or as share]."""
+"""Difference of numbers in a stage and in our records below which they are the same [m, or as share]."""
 _NOTES_MAX = 20
 _EMPTY = Mesh(
     vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.int32), colors=np.zeros((0, 3), np.uint8)
@@ -94,7 +94,7 @@ class _StageReader:
         self._asset_of: dict[Any, str] = {}
         self._asset_names = _Names()
         self.changed = False
-        """True if a stage of ours no longer has all that we wrote."""
+        """True if a stage that h3data wrote lacks some of its content."""
 
     def read(self) -> tuple[Scene, list[str], list[str]]:
         """Return the scene, what was left out or guessed, and which files are missing."""

@@ -91,7 +91,7 @@ class RobotDriver:
         self._folded_m = float(np.hypot(*self._hand_in_root(self.robot.rest)[[0, 2]])) if self._arm.size else 0.0
         self.footprint: Footprint = footprint_of(self.base)
         self._target = 0.0, 0.0
-        """The command to which it speeds up."""
+        """Command to which the robot speeds up."""
         self._commands: list[tuple[float, float]] = []
         """Rest of a maneuver by which it steps aside."""
         self._numbers: tuple[BaseSpec | None, tuple[Any, ...]] = None, ()
@@ -103,7 +103,7 @@ class RobotDriver:
         self._stands: dict[tuple[FreeSpace, BaseSpec, int, bytes], Array] = {}
         """Stands found before, by floor, base, island and the point to be reached; skills look for the same ones again."""
         self._gave_up: list[NDArray] = []
-        """Places [2] that it did not get to; next time it goes elsewhere, if it can."""
+        """Places [2] that the robot could not reach; next time it goes elsewhere, if possible."""
         self._planned: tuple[tuple[Any, ...], list[list[float]]] = (), []
         """Question of the last search for a maneuver, and the commands that it found."""
         self._held_up = np.full(3, np.inf), 0

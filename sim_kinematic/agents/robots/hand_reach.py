@@ -84,12 +84,12 @@ class _StretchedArm(NamedTuple):
     """Reach of a stretched arm."""
 
     shoulder: Array
-    """Position of its first joint in the agent root frame [3] [m]."""
+    """Position of the arm's first joint in the agent root frame [3] [m]."""
     wrist: Array
     """Position of the last point whose place follows from the pose of the hand, from there, in the frame of the hand's link [3]
     [m]."""
     length_m: float
-    """Largest distance from one to the other [m]."""
+    """Largest distance from the shoulder to the wrist [m]."""
 
 
 @lru_cache(maxsize=32)

@@ -382,7 +382,7 @@ class _EpisodeSampler:
     doorways: RoomDoors
     """Doors between the rooms of the home, all of which are open in ``scene`` and ``free``."""
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
-    """A person's, by point."""
+    """Stands of a person by point."""
     _openable: dict[int, bool] = field(default_factory=dict)
     """True if both agents open a part, by joint."""
 

@@ -81,7 +81,7 @@ class Household(Team):
         self.is_quiet = False
         """True if no object changed hands or came to its goal in the last step, and no agents touched."""
         self._apart = np.zeros((1, len(play.world.pairs)), np.bool_)
-        """Value of `World.touching` when no agents touch."""
+        """Value of `World.touching` if no agents touch."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
         """Put the agents and the things of the home at their places at the start of an episode."""

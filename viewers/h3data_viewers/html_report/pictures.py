@@ -39,7 +39,7 @@ _PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
 MOST_MESSAGES = 12
 """Largest number of messages on the card of an episode in a report."""
 _TRACKS = 40
-"""At most so many trajectories per run are drawn over a plan."""
+"""Largest number of trajectories per run that are drawn over a plan."""
 _QUALITY = 78
 """Quality of JPEG pictures, which make up most of a page."""
 
