@@ -140,7 +140,7 @@ def _poses(recording: Recording, time_s: np.ndarray) -> Iterable[list[str]]:
 
 
 def _texts(values: np.ndarray) -> list[str]:
-    """Return the shortest text of each number that gives it back; truth as 0 and 1; nothing for NaN."""
+    """Return the shortest exact text of each number; booleans become 0 and 1, and NaN an empty text."""
     # spreadsheets compute with 0 and 1
     if values.dtype.kind == "b":
         return ["1" if v else "0" for v in values]

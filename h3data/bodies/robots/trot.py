@@ -177,7 +177,7 @@ def _feet(
         cycle = np.floor(place)
 
         def planted(number: NDArray[np.float64], foot: Array = foot, begin: float = begin) -> Array:
-            """Return place of the foot on the floor during a cycle [m]; before the first step, the resting place."""
+            """Return the place of the foot on the floor in a cycle [m]; before the first step, the resting place."""
             middle = np.where(number <= begin, 0.0, number + TROT.duty / 2 - begin)
             x, y, z, turn = (np.interp(middle, cycles, v) for v in (*bases[:, :3].T, heading))
             at = transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]
