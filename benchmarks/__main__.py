@@ -80,7 +80,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _version(package: str) -> str | None:
-    """None where it is not installed: h3data may be a source tree on the path."""
+    """Return the version of a package; None if it is not installed, because h3data may be a source tree on the path."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -94,7 +94,7 @@ def _processor() -> str:
 
 
 def _gpu() -> str | None:
-    """The first GPU, if a group has used torch and there is one."""
+    """Return the first GPU, if a group has used torch and there is one."""
     torch = sys.modules.get("torch")
     return torch.cuda.get_device_name() if torch is not None and torch.cuda.is_available() else None
 

@@ -61,7 +61,7 @@ def _skin(body: Humanoid, *, lod: bool) -> float:
 
 
 def _skin_on_gpu(body: Humanoid, emit: Emit) -> None:
-    """Wall milliseconds for all frames, from joint matrices to vertices on the device; nothing where there is no GPU."""
+    """Emit wall milliseconds for all frames, from joint matrices to vertices on the device; nothing without a GPU."""
     import torch
 
     if not torch.cuda.is_available():
@@ -82,7 +82,7 @@ def _skin_on_gpu(body: Humanoid, emit: Emit) -> None:
 
 
 def _reach(body: Humanoid, emit: Emit) -> None:
-    """One query with its answer, one of a batch, and one that is refused with advice."""
+    """Measure one query with its answer, one of a batch, and one that is refused with advice."""
     targets = np.random.default_rng(0).uniform([0.2, 0.3, -0.1], [0.5, 1.2, 0.4], (QUERIES, 3))
     good = targets[reach_poses(body, targets).status == 0]
     reach(body, [2.0, 1.0, 0.0])  # everything compiled and made

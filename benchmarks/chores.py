@@ -141,7 +141,7 @@ def figures_of(recording: Recording) -> dict[str, float]:
 
 
 def _deepest(skin: Array, back: Array, box: Array) -> float:
-    """Greatest depth [m] of points [T, V, 3] in a box [2, 3] in frames whose inverses are ``back`` [T, 4, 4]."""
+    """Return greatest depth [m] of points [T, V, 3] in a box [2, 3] in frames whose inverses are ``back`` [T, 4, 4]."""
     points = np.einsum("tab,tvb->tva", back[:, :3, :3], skin) + back[:, None, :3, 3]
     return max(float(np.minimum(points - box[0], box[1] - points).min(2).max()), 0.0)
 

@@ -31,7 +31,7 @@ DRIVER_DIES_AT = 4
 
 
 def run(emit: Callable[[str, float, str], None], episodes: int = EPISODES) -> None:
-    """Overhead and speed-up, then ``episodes`` episodes into S3 while nodes and the driver die, against the same job here."""
+    """Measure overhead and speed-up, then play episodes into S3 while nodes and the driver die, and again locally."""
     os.environ["RAY_ADDRESS"] = "local"
     _overhead(emit)
     for executor in ("local", "ray"):
@@ -57,7 +57,7 @@ def count(rounds: int) -> int:
 
 
 def _overhead(emit: Callable[[str, float, str], None]) -> None:
-    """CPU time of this process and everything it started, beyond that of the shards, per CPU time of the shards."""
+    """Emit the CPU time of this process and its children beyond that of the shards, per CPU time of the shards."""
     with opened("ray", 2) as ray:
         list(ray.run(burn, [0.5] * 4))  # the workers have started
         before = _cpu_s_of_tree()
@@ -82,7 +82,7 @@ def _speed_up(emit: Callable[[str, float, str], None], executor: str) -> None:
 
 
 def _cpu_s_of_tree() -> float:
-    """CPU time of this process and its living descendants [s]."""
+    """Return the CPU time of this process and its living descendants [s]."""
     parents: dict[int, tuple[int, float]] = {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:

@@ -92,7 +92,7 @@ class Server:
         return [int(number) for number in children.split()]
 
     def cpu_s(self) -> tuple[float, float]:
-        """CPU time of the workers that play, and of the front [s]."""
+        """Return the CPU time of the workers that play, and of the front [s]."""
         return sum(_cpu_s(number) for number in self.workers[:-1]), _cpu_s(self.process.pid)
 
     def reports(self) -> list[dict[str, Any]]:
@@ -256,7 +256,7 @@ async def _home_bytes(link: str) -> int:
 
 
 async def _crash(emit: Emit, running: Server) -> None:
-    """Kills the worker, and notes when the page's seat goes on and how many rows are lost."""
+    """Kill the worker, and measure when the page's seat continues and how many rows are lost."""
     async with AsyncExitStack() as stack:
         client = await seated(stack, running.link)
         assert client is not None
@@ -279,7 +279,7 @@ async def _crash(emit: Emit, running: Server) -> None:
 async def _attacked(
     players: Sequence[Client], *arguments: str
 ) -> tuple[list[asyncio.Task[None]], subprocess.Popen[bytes]]:
-    """Lets players play for `SIEGE_S` and hostile clients begin, which have these arguments; counts after one second."""
+    """Let players play for `SIEGE_S` next to hostile clients with these arguments; count after one second."""
     end = time.monotonic() + SIEGE_S
     playing = [asyncio.create_task(play(client, k, end)) for k, client in enumerate(players)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -293,7 +293,7 @@ async def _attacked(
 
 
 async def _siege(emit: Emit, running: Server) -> None:
-    """Two players beside fifty hostile clients, which are a process of their own."""
+    """Measure two players next to fifty hostile clients, which run in a separate process."""
     async with AsyncExitStack() as stack:
         players = [c for c in [await seated(stack, running.link) for _ in range(2)] if c is not None]
         playing, crowd = await _attacked(players, running.link, "50", str(SIEGE_S))
@@ -311,7 +311,7 @@ async def _siege(emit: Emit, running: Server) -> None:
 
 
 def hostile(emit: Emit) -> None:
-    """Four participants of a study beside 40 hostile clients: emits ``hitl.hostile_*``."""
+    """Play four participants of a study next to 40 hostile clients, and emit ``hitl.hostile_*``."""
     said = {
         "name": "siege",
         "version": "1",

@@ -68,7 +68,7 @@ def run(emit: Callable[[str, float, str], None]) -> None:
 
 
 def _measured(code: str, *arguments: str | Path) -> tuple[float, float]:
-    """Seconds and MiB, which the code prints last."""
+    """Return the seconds and MiB that the code prints last."""
     out = subprocess.run(
         [sys.executable, "-c", _PEAK + code, *map(str, arguments)], check=True, capture_output=True, text=True
     )
@@ -77,7 +77,7 @@ def _measured(code: str, *arguments: str | Path) -> tuple[float, float]:
 
 
 def _write_replay(path: Path) -> None:
-    """Bodies that all move in every keyframe, written with 7 decimals as habitat-sim does it."""
+    """Write bodies that all move in every keyframe, with 7 decimals as habitat-sim does."""
     rng = np.random.default_rng(0)
 
     def updates() -> list[dict[str, Any]]:
@@ -97,7 +97,7 @@ def _write_replay(path: Path) -> None:
 
 
 def _terrain(seed: int) -> Mesh:
-    """A square of hills with a 2048 x 2048 texture; its part of the triangles, half as many vertices."""
+    """Write a square of hills with a 2048 x 2048 texture, with half as many vertices as triangles."""
     rng = np.random.default_rng(seed)
     side = int((TRIANGLES / PARTS / 2) ** 0.5)
     x, z = np.meshgrid(np.linspace(0, 10, side + 1), np.linspace(0, 10, side + 1), indexing="ij")

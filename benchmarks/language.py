@@ -43,7 +43,7 @@ def run(emit: Callable[[str, float, str], None]) -> None:
 
 
 def _size(emit: Callable[[str, float, str], None]) -> None:
-    """Tokens of 4 characters in the first request about a home of eleven rooms: tools and text, and the text alone."""
+    """Emit tokens of 4 characters in the first request about a home of eleven rooms: all of it, and the text alone."""
     task = Language()
     episode = task.episode(load_scene("medium2:0"), seed=0, spec=task.Spec(observe="seen"))
     address = Address.of("llm:http://127.0.0.1/v1?model=m")
@@ -55,7 +55,7 @@ def _size(emit: Callable[[str, float, str], None]) -> None:
 
 
 def _memory(emit: Callable[[str, float, str], None]) -> None:
-    """Growth of the resident memory of one process from its 40th episode to its 200th, in four homes by turns."""
+    """Emit the growth of memory of one process from its 40th episode to its 200th, in four homes by turns."""
     task, sizes = Language(), []
     scenes = [load_scene(f"small:{k}") for k in range(MEMORY_HOMES)]
     for k in range(MEMORY_EPISODES):
@@ -74,7 +74,7 @@ def _resident_mb() -> float:
 
 
 def _sight(emit: Callable[[str, float, str], None]) -> None:
-    """CPU time of a step of rearrangement whose agents look with their own eyes, over that of one that knows everything.
+    """Emit CPU time of a step of rearrangement whose agents see with their own eyes, over that with full knowledge.
 
     Without pictures, and with a depth image of the robot's arm at every step.
     """
@@ -104,7 +104,7 @@ def _errands(task: Rearrange, episode: Any) -> list[AssignedPolicy]:
 
 
 def _propositions(emit: Callable[[str, float, str], None]) -> None:
-    """Wall and CPU seconds for six propositions, with an order, dependencies and counts, in each recording."""
+    """Emit wall and CPU seconds for six propositions, with an order, dependencies and counts, in each recording."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "dataset"
         with DatasetWriter(root) as out:
@@ -118,7 +118,7 @@ def _propositions(emit: Callable[[str, float, str], None]) -> None:
 
 
 def synthetic_recordings(count: int) -> Iterator[Recording]:
-    """Recordings in which a person carries things, one after the other, from the first table to others."""
+    """Yield recordings in which a person carries things, one after the other, from the first table to others."""
     rng = np.random.default_rng(0)
     tables = {
         f"table_{k}": FurnitureBox((2.0 * k, 0.4, 0), (0.5, 0.4, 0.5), (Surface((2.0 * k, 0.8, 0), (0.5, 0.5), 0, 1),))

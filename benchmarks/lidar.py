@@ -33,7 +33,7 @@ def run(emit: Emit) -> None:
 
 
 def _seconds(free: FreeSpace, worlds: int, people: int, *, legs: bool) -> float:
-    """Median CPU time of a scan of one world [s]."""
+    """Return the median CPU time of a scan of one world [s]."""
     world = World(make_roster(["robot", *["human"] * people]), worlds=worlds)
     rng, taken = np.random.default_rng(0), []
     for _ in range(ROUNDS):

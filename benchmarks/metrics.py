@@ -27,7 +27,7 @@ JOINED = 25
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """The series alone on one core, one episode a call and 25 a call, then a dataset from disk to the table."""
+    """Measure the series alone on one core, one episode a call and 25 a call, then a dataset from disk to the table."""
     columns = synthetic_columns(BLOCK, STEPS)
     offsets = columns.pop("offsets")
     del columns["collision"]
@@ -73,7 +73,7 @@ def stored_dataset(emit: Callable[[str, float, str], None]) -> Path:
 
 
 def synthetic_recordings(number: int) -> Iterator[Recording]:
-    """Return a block of episodes with the columns that `h3data generate` records, as far as metrics may read them."""
+    """Yield blocks of episodes with the columns that `h3data generate` records, if metrics may read them."""
     columns = synthetic_columns(BLOCK, STEPS, seed=number)
     agents = (Agent(name="robot", kind="robot"), Agent(name="human", kind="human"))
     for e in range(BLOCK):
@@ -119,7 +119,7 @@ print(len(table), wall, cpu, time.perf_counter() - again, resource.getrusage(res
 
 
 def synthetic_columns(episodes: int, steps: int, *, seed: int = 0) -> dict[str, np.ndarray]:
-    """Ragged columns of two agents that wander through a home, mostly 0.5 to 4 m apart."""
+    """Return the ragged columns of two agents that wander through a home, mostly 0.5 to 4 m apart."""
     random = np.random.default_rng(seed)
     rows = episodes * steps
 

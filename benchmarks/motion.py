@@ -152,7 +152,7 @@ def robot_speeds(base: Array) -> tuple[Array, Array]:
 
 
 def _reversals(speed: Array, least: float) -> int:
-    """Changes of sign, within `AT_ONCE` steps, of a speed [T] that counts from ``least`` on."""
+    """Return the changes of sign, within `AT_ONCE` steps, of a speed [T] that counts from ``least`` on."""
     at = np.flatnonzero(np.abs(speed) > least)
     return int(((np.diff(np.sign(speed[at])) != 0) & (np.diff(at) <= AT_ONCE)).sum())
 
@@ -163,7 +163,7 @@ def trot_slides(base: Array) -> Array:
     links = [int(robot.joint_links[leg.columns[2]]) for leg in robot.legs]
 
     def feet_of(base: Array, joints: Array) -> Array:
-        """Places of the feet [T, L, 3]."""
+        """Return the places of the feet [T, L, 3]."""
         frames = robot.link_matrices(base, joints)
         feet = zip(links, robot.legs, strict=True)
         return np.stack([transform_points(frames[:, k], leg.foot[None])[:, 0] for k, leg in feet], axis=1)
@@ -218,7 +218,7 @@ def real_motion(path: Path, body_name: str = "male_1") -> dict[str, Array]:
 
 
 def motion_of(body: Humanoid, base: Array, joints: Array) -> dict[str, Array]:
-    """What a person does in T steps, from agent roots [T, 7] and frames of joints [T, 55, 4, 4]: rows of what is counted."""
+    """Return the counted motion of a person in T steps, from agent roots [T, 7] and joint frames [T, 55, 4, 4]."""
     heading = heading_from_quat(base[:, 3:])
     walked = np.hypot(*np.diff(base[:, [0, 2]], axis=0).T)
     turned = np.abs(wrap_angle(np.diff(heading)))
@@ -244,14 +244,14 @@ def motion_of(body: Humanoid, base: Array, joints: Array) -> dict[str, Array]:
 
 
 def _local(heading: Array, joints: Array) -> Array:
-    """Places [T, 21, 3] of the joints from the pelvis, in the frame that turns with the root."""
+    """Return the places [T, 21, 3] of the joints from the pelvis, in the frame that turns with the root."""
     away = joints[:, 1:BODY_JOINTS, :3, 3] - joints[:, :1, :3, 3]
     c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
     return np.stack([c * away[..., 0] - s * away[..., 2], away[..., 1], s * away[..., 0] + c * away[..., 2]], -1)
 
 
 def _steady_steps(body: Humanoid, step_m: float) -> Array:
-    """The farthest that each joint moves in a step of the steady gait, [21] [m], at any speed up to that of a step."""
+    """Return the farthest that each joint moves in a step of the steady gait, [21] [m], at any speed."""
     farthest, count = np.zeros(BODY_JOINTS - 1), 64
     phase, root = np.linspace(0, 1, count, endpoint=False), [[0, 0, 0, 0, 0, 0, 1]]
     fastest = step_m / STEP_S

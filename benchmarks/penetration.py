@@ -67,7 +67,7 @@ def run(emit: Emit, episodes: int = 50, robots: Sequence[str] = (), humans: Sequ
 
 
 def _measure(emit: Emit, name: str, recordings: Iterator[Recording]) -> None:
-    """Emits the figures of some recordings, under a name."""
+    """Emit the figures of some recordings, under a name."""
     depths: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
     crossed: list[bool] = []
     above: list[NDArray[np.bool_]] = []
@@ -95,7 +95,7 @@ def _measure(emit: Emit, name: str, recordings: Iterator[Recording]) -> None:
 
 
 def _through_walls(recording: Recording) -> list[bool]:
-    """Whether a wall is in the straight line, for each pick and place of a robot."""
+    """Return whether a wall is in the straight line, for each pick and place of a robot."""
     replay = Replay(recording)
     events = [e for e in recording.events if e.kind in ("pick", "place") and recording.agents[e.agent].kind == "robot"]
     if not events or replay.scene is None:
@@ -115,7 +115,7 @@ def _through_walls(recording: Recording) -> list[bool]:
 
 
 def _depths(recording: Recording, measured: list[Penetration]) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
-    """Kind of agent, part, and its depths [T] [m]."""
+    """Yield kind of agent, part, and its depths [T] [m]."""
     for found in measured:
         agent = recording.agents[found.agent]
         yield agent.kind, "any", found.depth_m.max(1)
@@ -129,7 +129,7 @@ def _depths(recording: Recording, measured: list[Penetration]) -> Iterator[tuple
 
 
 def _homes(episodes: int) -> Iterator[tuple[int, Scene, FreeSpace]]:
-    """A seed and a home for each episode, the homes in turn."""
+    """Yield a seed and a home for each episode, the homes in turn."""
     rules, homes = SocialNavSpec(), named_scenes("h3-homes/test")
     for seed in range(episodes):
         source = homes[seed % len(homes)].source

@@ -31,7 +31,7 @@ def cpu_s(*command: str) -> float:
 
 
 def _make_run(folder: Path, policy: str, count: int = REPORT_EPISODES, steps: int | None = None) -> Path:
-    """A dataset of ``count`` episodes: ten simulated ones over and over, under different names."""
+    """Return a dataset of ``count`` episodes: ten simulated ones repeated under different names."""
     from h3data.recording import DatasetWriter
     from h3data_homes import HomeSpec, build_home
     from sim_kinematic.motion.spec import SocialNavSpec
@@ -51,7 +51,7 @@ def _make_run(folder: Path, policy: str, count: int = REPORT_EPISODES, steps: in
 
 
 def _demo(emit: Callable[[str, float, str], None], cli: tuple[str, ...], folder: Path) -> None:
-    """The demo with what numba and h3data keep, and in an empty home folder; kernels of the package h3data-kernels count.
+    """Measure the demo with warm caches of numba and h3data, and in an empty home folder.
 
     Run by the Python of an environment with the wheels of ``make wheel``, it is their demo that is timed.
     """
@@ -68,7 +68,7 @@ def _demo(emit: Callable[[str, float, str], None], cli: tuple[str, ...], folder:
 
 
 def _timed_demo(cli: tuple[str, ...], out: Path, settings: dict[str, str]) -> dict[str, float]:
-    """Seconds from the start of the command until the demo says its metrics, its first picture, and ends; CPU seconds."""
+    """Return the seconds until the demo prints its metrics, shows its first picture, and ends, and its CPU seconds."""
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     command = [*cli, "demo", "-o", str(out)]
     places = [Path(place) for place in settings.values()]
@@ -99,7 +99,7 @@ def _timed_demo(cli: tuple[str, ...], out: Path, settings: dict[str, str]) -> di
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Wall seconds, best of three; the demo once with warm and once with empty caches."""
+    """Emit wall seconds, best of three; the demo once with warm and once with empty caches."""
     bare = min(_wall_s(sys.executable, "-c", "pass") for _ in range(3))
     emit("import.h3data_s", min(_wall_s(sys.executable, "-c", "import h3data") for _ in range(3)) - bare, "s")
     cli = (sys.executable, "-m", "h3data_pipelines.cli")

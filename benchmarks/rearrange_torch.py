@@ -57,7 +57,7 @@ def run(emit: Emit) -> None:
 
 
 def _steps(bank: RearrangeBank, worlds: int, device: str, *, compile: bool) -> list[tuple[str, Callable[[], object]]]:
-    """A step of the state and one of an environment, each with the choices that a table of random numbers makes."""
+    """Return a step of the state and one of an environment, each with the choices in a table of random numbers."""
     import torch
 
     from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
@@ -114,7 +114,7 @@ def _without_gradients(work: Callable[[], object]) -> Callable[[], None]:
 
 
 def _apart(bank: RearrangeBank) -> float:
-    """Farthest that a place on the GPU is from that on the CPU after 300 steps of the same planners in float64 [m]."""
+    """Return the farthest distance of places on GPU and CPU after 300 steps of the same planners in float64 [m]."""
     import torch
 
     from h3data_training.torch.rearrange.worlds import RearrangeTensors
@@ -139,7 +139,7 @@ def _clock() -> float:
 
 
 def _seconds(step: Callable[[], object], times: int, clock: Callable[[], float]) -> float:
-    """Time of one step [s]."""
+    """Return the time of one step [s]."""
     step()
     start = clock()
     for _ in range(times):

@@ -172,7 +172,7 @@ def _step_of_a_long_log(emit: Callable[[str, float, str], None], episodes: list[
 def _against_gfx_replay(
     emit: Callable[[str, float, str], None], episodes: list[Recording], size: float, read_s: float
 ) -> None:
-    """The same episodes as Habitat's replay files, against one Parquet episode. Parsing alone counts as loading."""
+    """Compare the same episodes as Habitat's replay files with one Parquet episode; parsing alone counts as loading."""
     texts = [_gfx_replay(e) for e in episodes]
     parse_s = _cpu_s(lambda: [json.loads(t) for t in texts]) / len(texts)
     emit("recording.vs_gfx_replay.json_bytes_per_step", float(np.mean([len(t) for t in texts])) / STEPS, "B")
@@ -206,7 +206,7 @@ def _gfx_replay(episode: Recording) -> bytes:
 
 
 def _parquet(episodes: list[Recording], root: Path) -> tuple[int, float, float]:
-    """Bytes on disk, CPU seconds to write and to read."""
+    """Return bytes on disk, and CPU seconds to write and to read."""
 
     def write() -> None:
         with DatasetWriter(root) as writer:
@@ -223,7 +223,7 @@ def _parquet(episodes: list[Recording], root: Path) -> tuple[int, float, float]:
 
 
 def _mcap(episodes: list[Recording], root: Path) -> tuple[int, float, float]:
-    """Bytes on disk, CPU seconds to write and to read."""
+    """Return bytes on disk, and CPU seconds to write and to read."""
     paths = [root / f"{k}.mcap" for k in range(len(episodes))]
     write_s = _cpu_s(lambda: [write_mcap(e, p) for e, p in zip(episodes, paths, strict=True)])
     read_s = _cpu_s(lambda: [read_mcap(p) for p in paths])
@@ -254,7 +254,7 @@ def _unit_poses(rng: np.random.Generator, count: int) -> NDArray[np.float32]:
 
 
 def _joints(rng: np.random.Generator, *, free: bool) -> NDArray[np.float32]:
-    """Local joint rotations, quaternions [T, 54, 4]."""
+    """Return the local joint rotations, quaternions [T, 54, 4]."""
     t = np.arange(STEPS)[:, None, None] / 30
     t = t if free else t % 2.0
     quats = 0.3 * np.sin(2 * np.pi * (rng.uniform(0.2, 2, (54, 4)) if free else 0.5) * t + rng.uniform(0, 6, (54, 4)))

@@ -395,7 +395,7 @@ def fresh(start: float) -> None:
 
 
 def _array_mb(thing: object) -> float:
-    """All arrays that something holds, each once."""
+    """Return the size of all arrays that an object holds, each counted once [MB]."""
     waiting, seen = [thing], {}
     while waiting:
         one = waiting.pop()
@@ -428,7 +428,7 @@ def _run_rays(emit: Emit, scene: RenderScene) -> None:
 
 
 def _update_ms() -> float:
-    """25 rigid parts moved and one body of about 23.6 k triangles with new vertices, for a depth picture."""
+    """Return the time to move 25 rigid parts and one body of about 23.6 k triangles, for a depth picture [ms]."""
     body = colored(blob((0, 0.9, 0), (0.5, 1.8, 0.3), 77, 0.9), (200, 160, 140))
     part = colored(box((0, 0, 0), (0.2, 0.2, 0.2), 4), (90, 90, 90))
     instances = [RenderInstance(0, np.eye(4)), *(RenderInstance(1, np.eye(4)) for _ in range(25))]

@@ -93,7 +93,7 @@ class Steps:
         self.phase = torch.zeros(1, dtype=torch.int64, device=device)
 
     def next(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Poses of the things, joints and cameras of the next phase, chosen on the device."""
+        """Return the poses of the things, joints and cameras of the next phase, chosen on the device."""
         self.phase.add_(1).remainder_(PHASES)
         return tuple(all_.index_select(0, self.phase)[0] for all_ in (self.things, self.joints, self.views))  # type: ignore[return-value]
 

@@ -58,7 +58,7 @@ def join(parts: Sequence[Part]) -> Part:
 
 
 def box(center: Sequence[float], size: Sequence[float], n: int) -> Part:
-    """12 n^2 triangles."""
+    """Return 12 n^2 triangles."""
 
     def side(axis: int, sign: int) -> Surface:
         def points(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -339,7 +339,7 @@ def _measure(emit: Emit, name: str, renderer: Renderer, poses: Sequence[NDArray[
 
 
 def _room_views(mesh: Mesh) -> list[NDArray[np.float64]]:
-    """Cameras inside the room's box."""
+    """Return the cameras inside the room's box."""
     low, high = mesh.bounds
     rng = np.random.default_rng(0)
     poses = []

@@ -61,8 +61,10 @@ def run(emit: Emit) -> None:
 
 
 def _with_agents(emit: Emit, preset: str, flat: RenderScene, lit: LitScene, cameras: list[Camera]) -> None:
-    """A person and a robot before each camera, each camera in a world of its own: RGB in flat light, in baked light with
-    their shadows, and without them; on a GPU, where there is one, 48 pictures at once."""
+    """Emit the time of RGB with a person and a robot before each camera, each in a separate world.
+
+    The light is flat, baked with shadows, and baked without shadows; on a GPU, 48 pictures are rendered at once.
+    """
     assert lit.field is not None
     agents = _Agents(cameras)
     shadowed, first = agents.beside(lit.meshes, lit.instances, mirrors=lit.mirrors)
@@ -110,7 +112,7 @@ class _Agents:
             self.placed.append((frames[0, self.links], np.column_stack([ends[0][0], ends[1][0], ends[2]])))
 
     def beside(self, meshes: Any, instances: Any, **options: Any) -> tuple[RenderScene, int]:
-        """A scene with the two in it, and the number of the person's instance, which those of the robot follow."""
+        """Return a scene with both agents in it, and the number of the person's instance, before those of the robot."""
         more = [self.person.lod_mesh, *(self.robot.links[n].mesh for n in self.links)]
         own = [RenderInstance(len(meshes) + k, np.eye(4)) for k in range(len(more))]
         return RenderScene([*meshes, *more], [*instances, *own], deformable=[len(meshes)], **options), len(instances)
@@ -124,7 +126,7 @@ class _Agents:
 
 
 def _batch_ms(renderer: Renderer, cameras: list[Camera]) -> float:
-    """Milliseconds a picture: CPU time of one at a time, or on a GPU wall-clock time of 48 at once."""
+    """Return milliseconds per picture: CPU time of one at a time, or on a GPU wall-clock time of 48 at once."""
     worlds = list(range(len(cameras)))
     if renderer.backend == "cpu":
         return float(
@@ -143,7 +145,7 @@ def _batch_ms(renderer: Renderer, cameras: list[Camera]) -> float:
 
 
 def _home(preset: str) -> tuple[Scene, list[Camera]]:
-    """A home and a camera in each of `ROOMS`."""
+    """Return a home and a camera in each of `ROOMS`."""
     home = build_home(HomeSpec(preset=preset, seed=7))  # type: ignore[arg-type]
     free = FreeSpace.from_scene(home)
     rooms = [next(room.name for room in home.rooms if room.category == category) for category in ROOMS]

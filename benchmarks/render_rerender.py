@@ -76,7 +76,7 @@ def run(emit: Emit) -> None:
 
 
 def _run_still(emit: Emit, replay: Replay) -> None:
-    """The lines of a camera that stands still, and of the same pictures if each were drawn anew."""
+    """Emit the lines of a camera that stands still, and of the same pictures if each is rendered from scratch."""
     stage, count = replay.stage, len(replay)
     camera = camera_track(replay, "top_down").at(0)
     renderer = stage.renderer()
@@ -99,7 +99,7 @@ def _run_still(emit: Emit, replay: Replay) -> None:
 
 
 def _run_smooth(emit: Emit, replay: Replay, track: CameraTrack) -> None:
-    """The lines of a video of colours with four samples a pixel, and of its conversion and encoding alone."""
+    """Emit the lines of a video of colours with four samples a pixel, and of its conversion and encoding alone."""
     stage, count = replay.stage, len(replay)
     renderer = stage.renderer()
     pictures = [stage.render(renderer, k, [track.at(k)], outputs=("rgb",), samples=4)[0]["rgb"] for k in range(count)]
@@ -132,7 +132,7 @@ def _files(
 
 
 def _seconds(work: Callable[[], object]) -> float:
-    """CPU seconds of ``work``: the least of three, after one that does not count."""
+    """Return the CPU seconds of ``work``: the least of three, after one that does not count."""
     work()
     times = []
     for _ in range(3):

@@ -73,7 +73,7 @@ def _run_files(emit: Emit, replay: Replay, track: CameraTrack, samples: Literal[
 
 
 def _run_parts(emit: Emit, replay: Replay, track: CameraTrack, samples: Literal[1, 4]) -> None:
-    """Milliseconds of a frame: all that comes before files, and of it the poses and the launch with the copy to the host."""
+    """Emit milliseconds of a frame before files, and of this the poses and the launch with the copy to the host."""
     import torch
 
     stage, count = replay.stage, len(replay)
@@ -118,7 +118,7 @@ def _draw(replay: Replay, track: CameraTrack, samples: Literal[1, 4]) -> None:
 
 
 def _run_encoders(emit: Emit, replay: Replay, track: CameraTrack) -> None:
-    """Milliseconds of a frame in each encoder alone, wall clock and CPU: the largest wall-clock time bounds the rate."""
+    """Emit milliseconds of a frame in each encoder alone; the largest wall-clock time bounds the rate."""
     stage, count = replay.stage, min(64, len(replay))
     renderer = stage.renderer()
     drawn = [stage.render(renderer, step, [track.at(step)], outputs=OUTPUTS)[0] for step in range(count)]
@@ -151,7 +151,7 @@ def _emit_both(emit: Emit, name: str, work: Callable[[], object], count: int) ->
 
 
 def _run_alike(emit: Emit, replay: Replay, track: CameraTrack, samples: Literal[1, 4]) -> None:
-    """Compares every `COMPARED`-th picture with the CPU's."""
+    """Compare every `COMPARED`-th picture with the CPU's."""
     steps = range(0, len(replay), COMPARED)
     got, want = (
         [
@@ -188,7 +188,7 @@ def off_silhouettes(instance: NDArray[np.integer], depth: NDArray[np.floating]) 
 
 
 def _wall(work: Callable[[], object]) -> float:
-    """Wall-clock seconds of ``work``: the least of three, after one that does not count."""
+    """Return the wall-clock seconds of ``work``: the least of three, after one that does not count."""
     work()
     times = []
     for _ in range(3):

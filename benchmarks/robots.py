@@ -47,7 +47,7 @@ def run(emit: Emit) -> None:
 
 
 def _mjcf_s() -> tuple[float, float]:
-    """CPU time to load a robot of an MJCF file [s]: with an empty cache folder, and with its thinned meshes there."""
+    """Return CPU time to load a robot of an MJCF file [s]: with an empty cache folder, and with its thinned meshes."""
     import trimesh
 
     with tempfile.TemporaryDirectory() as name, patch.dict(os.environ, {"H3DATA_CACHE": str(Path(name) / "cache")}):

@@ -76,7 +76,7 @@ def run(emit: Emit) -> None:
 
 
 def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None = None) -> float:
-    """Steps per CPU second of all worlds together: robots drive, humans walk and draw their arms in; nothing else."""
+    """Return the steps per CPU second of all worlds: robots drive, humans walk and draw their arms in; nothing else."""
     spec = SocialNavSpec(robot=base or HOME_BASE, human=HOME_WALKER)
     rng = np.random.default_rng(0)
     robot, person, human = RobotState.zeros(worlds), HumanState.zeros(worlds), load_humanoid("female_0")
@@ -100,7 +100,7 @@ def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None
 
 
 def _arm_steps(worlds: int, steps: int) -> float:
-    """Steps per CPU second of all worlds together: arms of 7 joints move, hands carry one of five objects."""
+    """Return the steps per CPU second of all worlds: arms of 7 joints move, hands carry one of five objects."""
     robot, spec = load_robot("quad_arm"), ArmSpec()
     state = WorldState.zeros(worlds, joints=len(robot.joint_names), objects=5)
     own = state.robots[0]

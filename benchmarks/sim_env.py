@@ -47,7 +47,7 @@ def run(emit: Emit) -> None:
 
 
 def _rearrange(emit: Emit) -> None:
-    """Emits ``sim.rearrange_env.*``, ``sim.rearrange.w256_steps_per_cpu_s`` and the same of whole skills.
+    """Emit ``sim.rearrange_env.*``, ``sim.rearrange.w256_steps_per_cpu_s`` and the same of whole skills.
 
     In the first, robots choose anew at every step while the person is close, and after some rounds most of them are, so that
     nearly every round is one step of one interrupted skill. Where choices are not interrupted, skills run to their ends.
@@ -92,7 +92,7 @@ def _rearrange(emit: Emit) -> None:
 
 
 def _rearranging(worlds: int, spec: RearrangeSpec, rng: np.random.Generator, *, interrupts: bool = True) -> float:
-    """Simulated steps of all worlds per CPU second, whose robots choose skills at random beside a planner."""
+    """Return simulated steps of all worlds per CPU second, whose robots choose skills at random beside a planner."""
     env = h3data.make(
         "rearrange",
         HOME,

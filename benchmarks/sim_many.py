@@ -68,7 +68,7 @@ def run(emit: Emit, seeds: int = SEEDS, keep: str = "") -> None:
 
 
 def play_all(seeds: int, keep: str = "") -> Iterator[Run]:
-    """Every cast with so many seeds, in turn in all homes."""
+    """Play every cast with so many seeds, in turn in all homes."""
     homes = len(named_scenes(SCENES))
     jobs = [(agents, (3 * seed + k) % homes, seed, keep) for k, agents in enumerate(CASTS) for seed in range(seeds)]
     with ProcessPoolExecutor(PROCESSES) as pool:
@@ -89,7 +89,7 @@ def play(job: tuple[str, int, int, str]) -> Run:
 
 
 def is_blocked(recording: Recording) -> bool:
-    """Whether somebody wanted to go somewhere in the last steps and did not get on."""
+    """Return whether an agent wanted to go somewhere in the last steps without success."""
     for k in range(len(recording.agents)):
         goes = recording.columns[f"agent_{k}.skill"][-BLOCKED_STEPS:] < 2
         xz = recording.columns[f"agent_{k}.base_pose"][-BLOCKED_STEPS:, [0, 2]]

@@ -35,7 +35,7 @@ def run(emit: Emit) -> None:
 
 
 def _step_times(path: Path) -> Array:
-    """CPU seconds of each step of one session, [T]."""
+    """Return the CPU seconds of each step of one session, [T]."""
     session = h3data.session(
         "rearrange",
         "small:3",

@@ -42,7 +42,7 @@ class BoxFloor(NamedTuple):
 
     @classmethod
     def draw(cls, seed: int = 0) -> BoxFloor:
-        """Four rooms, doors of 1 m between them, ten boxes."""
+        """Return a floor of four rooms, doors of 1 m between them, and ten boxes."""
         rng = np.random.default_rng(seed)
         thin, (width, depth) = 0.06, (12.0, 10.0)
         boxes = [
@@ -66,7 +66,7 @@ class BoxFloor(NamedTuple):
         return cls(sdf.astype(np.float32), np.array([-4 * cell, -4 * cell]), cell)
 
     def free_places(self, count: int, rng: np.random.Generator, clear_m: float = 0.5) -> NDArray[np.float64]:
-        """Centres of cells with so much room around them, [count, 2] [m]."""
+        """Return the centres of cells with enough room around them, [count, 2] [m]."""
         cells = np.argwhere(self.sdf > clear_m)
         return self.origin + (cells[rng.integers(len(cells), size=count)] + 0.5) * self.cell_m
 
@@ -101,7 +101,7 @@ class Stepper:
         return [*self.robot, *self.human]
 
     def step(self) -> None:
-        """All worlds, once. There are no branches: it costs the same wherever they are."""
+        """Step all worlds once, without branches, so that the cost does not depend on their states."""
         from h3data_training.torch.step import drive_robots, walk_humans
 
         robot = drive_robots(self.grids, self.robot, self.action, self.spec.robot)
@@ -150,7 +150,7 @@ def run(emit: Emit) -> None:
 
 
 def _depth_fps(worlds: int, *, compile: bool) -> float:
-    """Steps of all worlds per second, with two depth images each."""
+    """Return the steps of all worlds per second, with two depth images each."""
     import torch
 
     from h3data.bodies import load_humanoid, load_robot
@@ -244,7 +244,7 @@ def cpu_s(work: Callable[[], object]) -> float:
 
 
 def _wall_s(work: Callable[[], object], *, steps: int = 100) -> float:
-    """Wall-clock time of one call [s], the wait for the GPU included: the median of some rounds of ``steps``."""
+    """Return wall-clock time of one call [s] including the wait for the GPU: the median of some rounds of ``steps``."""
     import torch
 
     times = []
@@ -260,7 +260,7 @@ def _wall_s(work: Callable[[], object], *, steps: int = 100) -> float:
 def _environment(
     worlds: int, device: str, *, compile: bool = False, depth_size: tuple[int, int] | None = None
 ) -> tuple[Any, torch.Tensor]:
-    """One with arm depth where there is a size of pictures."""
+    """Return an environment, with arm depth if there is a size of pictures."""
     import torch
 
     from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv

@@ -1,10 +1,9 @@
 """Stand-offs of rearrangement: how often two agents keep each other from getting on, and how long an episode takes.
 
 A stand-off is `STEPS` consecutive steps within `WITHIN_M` of each other in which an agent has something to do, neither
-completes a skill, and neither shortens the path to where it is going (on the floor) by more than `GETS_ON_M`. Somebody who
-drives is going to their errand. The homes are
-``small:0`` to ``small:9``, in turn. In half of the episodes a robot plays ``complement`` beside a person who plans to
-bring ``both`` objects. In the others, somebody drives the robot:
+completes a skill, and neither shortens the path to where it is going (on the floor) by more than `GETS_ON_M`. Somebody
+who drives is going to their errand. The homes are ``small:0`` to ``small:9``, in turn. In half of the episodes a robot
+plays ``complement`` beside a person who plans to bring ``both`` objects. In the others, somebody drives the robot:
 
 * `Errands` (``driven.*``): they go from place to place, stop in doorways for 2 to 8 s, look around, and go on where
   somebody waits. At most 1.6 times the steps of the person alone is asked of these episodes, at the 95th percentile: 1.52
@@ -146,7 +145,7 @@ def _share(rows: list[dict[str, Any]], name: str) -> float:
 
 
 def is_driven(seed: int) -> bool:
-    """Whether the robot of an episode is driven: in every second round of the homes."""
+    """Return whether the robot of an episode is driven, as in every second round of the homes."""
     return seed // HOMES % 2 == 1
 
 
@@ -209,7 +208,7 @@ def stand_offs(
 
 
 def _left(recording: Recording, free: FreeSpace, xz: NDArray, skill: NDArray, target: NDArray) -> NDArray[np.float64]:
-    """Length of the path from every place [T, 2] to where the agent is going [m], [T]; infinite where it goes nowhere."""
+    """Return the length of the path from every place [T, 2] to the agent's goal [m], [T]; infinite without a goal."""
     left = np.full(len(xz), np.inf)
     goals = [goal["position"] for goal in recording.episode.info["goals"]]
     for number, to_goal in NAVIGATES.items():
@@ -271,7 +270,7 @@ class Driver(ABC):
     _number: int = 0
 
     def act(self, view: RearrangeView) -> Action:
-        """The command of one step."""
+        """Return the command of one step."""
         action = self._decide(view)
         goal = self._goal
         left = np.nan if goal is None else float(self.free.geodesic(view.xz[None], goal[None], max_snap_m=1.0)[0])
@@ -290,7 +289,7 @@ class Driver(ABC):
         self._number += 1
 
     def _drive_on(self, view: RearrangeView) -> tuple[float, Action]:
-        """Length of the path that is left [m], and the command that follows it."""
+        """Return the length of the path that is left [m], and the command that follows it."""
         assert self._goal is not None
         length, waypoint = self.free.first_leg(view.xz, self._goal, beyond_m=0.1, max_snap_m=1.0)
         dx, dz = waypoint - view.xz
@@ -339,7 +338,7 @@ class Errands(Driver):
         return _drives(view, 0.0, 0.0) if met else command
 
     def _meets(self, view: RearrangeView, apart_m: float) -> bool:
-        """Whether the other is on the next metres of the way."""
+        """Return whether the other agent is on the next metres of the path."""
         if self._goal is None or apart_m >= MEETS_M:
             return False
         ahead = first_of_path(self.free.path(view.xz, self._goal, max_snap_m=1.0), MEETS_M)
@@ -349,7 +348,7 @@ class Errands(Driver):
         self._stands, self._turns, self._speed = int(self._rng.integers(least, most)), 0.0, 0.0
 
     def _go_elsewhere(self, view: RearrangeView) -> None:
-        """To a place with room, more than 2 m off, of which the path leads as little as possible towards the other."""
+        """Drive to a place with room, more than 2 m away, whose path leads as little as possible towards the other."""
         places = self.free.sample(self._rng, 12)
         paths = [self.free.path(view.xz, place, max_snap_m=1.0) for place in places]
         far = [path for path in paths if len(path) > 1 and np.hypot(*np.diff(path, axis=0).T).sum() > 2.0]
@@ -394,7 +393,7 @@ DRIVERS: dict[str, type[Errands | Parks]] = {"errands": Errands, "parks": Parks}
 
 
 def _waits(view: RearrangeView) -> bool:
-    """Whether the other has been standing for as long as they are seen to."""
+    """Return whether the other agent has been standing for as long as agents are observed."""
     return bool(np.hypot(*(view.other_track - view.other_xz).T).max() < 0.1)
 
 
@@ -403,7 +402,7 @@ def _drives(view: RearrangeView, forward: float, turn: float) -> Action:
 
 
 def narrow_places(free: FreeSpace) -> list[NDArray[np.float64]]:
-    """Floor points [2] through which most paths between places of a home lead, a metre or more apart, in that order."""
+    """Return floor points [2] through which most paths between places of a home lead, a metre or more apart."""
     rng = np.random.default_rng(0)
     ends = free.sample(rng, 60)
     points = []

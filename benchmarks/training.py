@@ -149,7 +149,7 @@ def _learner(settings: Settings, bank: EpisodeBank, device: str) -> Learner:
 
 
 def _seconds(work: Callable[[], object], times: int, device: str) -> float:
-    """Time of one call [s], after a first one."""
+    """Return the time of one call [s], after a first one."""
     work()
     start = _clock(device)
     for _ in range(times):
@@ -166,7 +166,7 @@ def _clock(device: str) -> float:
 
 
 def _kernels(work: Callable[[], object], decisions: int, most: int = 16) -> None:
-    """Prints which kernels take the time of a decision."""
+    """Print the kernels that take the time of a decision."""
     from torch.profiler import ProfilerActivity, profile
 
     with profile(activities=[ProfilerActivity.CUDA]) as seen:

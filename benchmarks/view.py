@@ -21,7 +21,7 @@ STEPS, OBJECTS, LONG = 1500, 20, 60_000
 
 
 def _recording(steps: int) -> Recording:
-    """A simulated episode, repeated up to ``steps`` rows; 20 of its objects circle around their places."""
+    """Return a simulated episode, repeated up to ``steps`` rows; 20 of its objects circle around their places."""
     from h3data_homes import HomeSpec, build_home
     from sim_kinematic.motion.spec import SocialNavSpec
     from sim_kinematic.tasks.runner import simulate
@@ -44,7 +44,7 @@ def _recording(steps: int) -> Recording:
 
 
 def _write(recording: Recording, path: Path) -> float:
-    """CPU seconds of the replay and the file."""
+    """Return the CPU seconds of the replay and the file."""
     from h3data.replay import Replay
     from h3data_viewers import write_rrd
 
@@ -68,7 +68,7 @@ def _extra_memory() -> None:
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """CPU seconds, best of five; memory in a process of its own."""
+    """Emit CPU seconds, best of five, and memory in a separate process."""
     recording = _recording(STEPS)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "e.rrd"

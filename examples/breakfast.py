@@ -55,7 +55,7 @@ def play(seed: int = SEED) -> Recording:
 
 
 def sheet(recording: Recording, out: Path) -> None:
-    """Render moments around what people take and put down, a row for each, and of who looks at a phone."""
+    """Render moments around each thing that people take and put down, and of a look at a phone, one per row."""
     replay, rows = Replay(recording, light="baked"), []
     for name, moments in SHOTS.items():
         agent, kind, word = (int(name[0]), *name[2:].split())
@@ -81,7 +81,7 @@ def sheet(recording: Recording, out: Path) -> None:
 
 
 def main(out: str) -> None:
-    """Plays, records and renders."""
+    """Play, record and render the breakfast."""
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     recording = play()

@@ -20,7 +20,7 @@ person, walker = session.play.team.people[0], session.episode.spec.human
 
 
 def steer(forward_m: float, left_rad: float) -> None:
-    """Play one step towards a place so far ahead, or turns towards a heading so far to the left."""
+    """Play one step towards a place ahead, or turn towards a heading to the left, at the given distances."""
     turn = float(np.clip(left_rad * 30 / walker.turn_rad_s, -1, 1))
     forward = float(np.clip(forward_m * 30 / walker.speed_mps, 0, 1)) if abs(left_rad) < 0.1 else 0.0
     session.act("person", PersonCommand(forward, turn))

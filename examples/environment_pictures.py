@@ -1,4 +1,4 @@
-"""One idea: what two agents see while they work. Usage: python examples/environment_pictures.py PICTURE.jpg [SCENE]"""
+"""One idea: pictures that two agents see at work. Usage: python examples/environment_pictures.py PICTURE.jpg [SCENE]"""
 
 import sys
 

@@ -34,7 +34,7 @@ class FetchSpec(RearrangeSpec):
     """Rules in addition to those of every task with things."""
 
     parts: int = 1
-    """One drawer, which agents may choose to open by number."""
+    """Number of drawers to open, one, which agents may choose by number."""
     drawer_worth: float = 5.0
     """Reward for opening the drawer."""
     thing_worth: float = 10.0
@@ -57,14 +57,14 @@ def drawer_of(episode: Any) -> int:
 
 
 class DrawerFirst:
-    """A policy for skills: goes to the drawer and opens it, then follows another policy."""
+    """Policy for skills, which goes to the drawer and opens it, and then follows another policy."""
 
     def __init__(self, drawer: int, then: Any) -> None:
         self.drawer, self.then = drawer, then
         self.failures, self.over = 0, False
 
     def act(self, view: RearrangeView) -> Action:
-        """The next skill; asked when the last one has ended."""
+        """Return the next skill; the method is called when the last one has ended."""
         ended = None if view.action is None or view.last is None else (view.action.skill, view.last.outcome)
         if not self.over and ended is not None:
             self.failures += ended[1] == "failed"
@@ -74,12 +74,12 @@ class DrawerFirst:
         return Action("open" if ended == ("nav_to_handle", "done") else "nav_to_handle", self.drawer)
 
     def interrupts(self, view: RearrangeView) -> str:
-        """Why the running skill is aborted; empty: it goes on."""
+        """Return the reason for aborting the running skill; empty if it continues."""
         return self.then.interrupts(view) if self.over else ""
 
 
 def drawer_first(task: Any, episode: Any, number: int) -> DrawerFirst:
-    """Return the policy for one episode: then the robot brings what the person does not."""
+    """Return the policy for one episode, in which the robot then brings the things that the person does not bring."""
     return DrawerFirst(drawer_of(episode), resolve_policy(task, "robot", "complement")(episode, number).policy)
 
 
@@ -87,7 +87,7 @@ class FetchCodec(RearrangeCodec):
     """Codec of the task's episodes, which differs from that of rearrangement only in its instruction."""
 
     def drawer_name(self, episode: Any) -> str:
-        """Name of the drawer to open, ``thing/part``."""
+        """Return the name of the drawer to open, ``thing/part``."""
         names = [f"{thing.name}/{part.name}" for thing in episode.scene.articulations for part in thing.parts]
         return names[drawer_of(episode)]
 
@@ -98,7 +98,10 @@ class FetchCodec(RearrangeCodec):
 
 
 class Fetch(Rearrange):
-    """Open the drawer, and bring each thing to its goal; contact with the person costs and ends the episode."""
+    """Task of opening the drawer and bringing each thing to its goal.
+
+    Contact with the person costs reward and ends the episode.
+    """
 
     name = "fetch"
     Spec = FetchSpec
@@ -113,26 +116,29 @@ class Fetch(Rearrange):
 
     @property
     def codec(self) -> FetchCodec:
-        """The codec that writes its episodes to files."""
+        """Codec that writes episodes of the task to files."""
         return FetchCodec(self)
 
     def sample(self, scene: Any, free: Any, seed: int, spec: Any, roster: Any) -> Any:
-        """Things, goals and starts that both bodies can reach, in a home with a drawer."""
+        """Sample things, goals and starts that both bodies can reach, in a home with a drawer."""
         episode = super().sample(scene, free, seed, spec, roster)
         drawer_of(episode)
         return episode
 
     def parts_of(self, episode: Any) -> tuple[int, ...]:
-        """The drawer to open."""
+        """Return the drawer to open."""
         return (drawer_of(episode),)
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any]:
-        """Nothing is paid yet: the drawer, then each thing. On a device these are tensors, and so in ``judge``."""
+        """Reset the rewards that have been given: for the drawer, then for each thing.
+
+        On a device these are tensors, as in ``judge``.
+        """
         none = play.xp.concatenate([play.open_parts, play.at_goal], -1)
         return {"paid": none & ~none}
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Pays once for the open drawer and for each thing at its goal, in nobody's hand."""
+        """Reward once the open drawer and each thing that lies at its goal, in no hand."""
         there = play.xp.concatenate([play.open_parts, play.at_goal], -1)
         fresh, play.memory["paid"] = there & ~play.memory["paid"], there | play.memory["paid"]
         success, collides = there.all(-1), play.world.touching.any(-1)

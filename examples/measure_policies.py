@@ -1,4 +1,4 @@
-"""One idea: the same episodes under two policies, compared by their metrics."""
+"""One idea: play the same episodes with two policies, and compare them by their metrics."""
 
 import h3data
 from h3data.metrics import measure_many

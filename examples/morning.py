@@ -89,7 +89,7 @@ def film(recording: Recording, folder: Path) -> None:
 
 
 def main(out: str) -> None:
-    """Plays, records and renders."""
+    """Play, record and render the morning."""
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     recording = play()

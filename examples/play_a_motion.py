@@ -1,4 +1,4 @@
-"""One idea: motion capture on one of our people. Usage: python examples/play_a_motion.py walk.bvh walk.mp4 [BODY]
+"""One idea: motion capture on a built-in person. Usage: python examples/play_a_motion.py walk.bvh walk.mp4 [BODY]
 
 walk.bvh is a file of motion capture: BVH, AMASS (.npz) or Habitat's (.pkl); BODY one of: h3data bodies list
 """

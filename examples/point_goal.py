@@ -40,9 +40,9 @@ class PointGoalSpec(TaskSpec):
     max_steps: int = 500
     spawn_distance_m: float = 3.0
     arrive_m: float = 0.3
-    """Distance to the goal at which the robot has arrived."""
+    """Distance to the goal below which the robot has arrived [m]."""
     personal_m: float = 1.2
-    """Nearer than this disturbs a person: Hall's personal distance."""
+    """Distance below which the robot disturbs a person [m]: Hall's personal distance."""
     goal_from_person_m: tuple[float, float] = (1.5, 3.0)
 
 
@@ -57,7 +57,7 @@ def drive_to_goal(view: AgentView, base: Any, *, look_ahead_m: float = 0.3) -> V
 
 
 class PointGoal(Task):
-    """Be at a point near the person, and nearer to them than ``personal_m`` as seldom as possible."""
+    """Task of reaching a point near a person, with as few steps as possible nearer to them than ``personal_m``."""
 
     Spec = PointGoalSpec
     columns: ClassVar[Mapping[str, Any]] = {"metrics.goal_distance": np.float32, "metrics.disturbs": np.bool_}
@@ -66,7 +66,7 @@ class PointGoal(Task):
     defaults: ClassVar[Mapping[str, str]] = {"robot": "drive_to_goal", "human": "waypoints"}
 
     def sample(self, scene: Any, free: Any, seed: int, spec: PointGoalSpec, roster: Any) -> Episode:
-        """Starts as in every task; the goal is on the free floor, at walking distance of the person's start."""
+        """Sample starts as in every task, and a goal on the free floor at walking distance of the person's start."""
         starts, rng = sample_starts(scene, free, seed, spec, roster), generator(seed, "goal")
         near, far = spec.goal_from_person_m
         for goal in free.sample(rng, 500):
@@ -76,12 +76,12 @@ class PointGoal(Task):
         raise SceneError(f"No free point {near} to {far} m from the person's start. Hint: another scene or seed.")
 
     def begin(self, play: WorldRollout, rows: NDArray[np.intp]) -> Mapping[str, Any]:
-        """Remembers where the goals are and how far it is to them; ``play.xp`` is NumPy, or torch on a device."""
+        """Store the goals and the distances to them; ``play.xp`` is NumPy, or torch on a device."""
         goal = play.extra("goal")
         return {"goal": goal, "left": self._distance(play, goal), "done": play.steps < 0}
 
     def judge(self, play: WorldRollout) -> StepOutcome:
-        """Progress along the shortest path is rewarded, disturbing costs, arriving ends the episode."""
+        """Reward progress along the shortest path, punish disturbing, and end the episode on arrival."""
         xp, memory, spec, (robot, *people) = play.xp, play.memory, play.spec, play.world.state.agents
         left, before = self._distance(play, memory["goal"]), memory["left"]
         gaps = [person.xz - robot.xz for person in people]
@@ -97,12 +97,12 @@ class PointGoal(Task):
         )
 
     def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Every task's sensors, and where the goal is: distance [m] and angle [rad], positive to the right."""
+        """Return every task's sensors, and the goal's distance [m] and angle [rad], positive to the right."""
         goal = Sensor(partial(_goal_gps), [0.0, -np.pi], [100.0, np.pi])
         return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
 
     def _distance(self, play: WorldRollout, goal: Any) -> Any:
-        """Length of the shortest path to the goal [m], [W]; the straight line where there is none."""
+        """Return the length of the shortest path to the goal [m], [W]; that of the straight line if there is no path."""
         far, gap = play.path_length(0, goal), goal - play.world.state.agents[0].xz
         return play.xp.where(play.xp.isfinite(far), far, play.xp.hypot(gap[:, 0], gap[:, 1]))
 

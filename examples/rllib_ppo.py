@@ -1,4 +1,4 @@
-"""PPO of RLlib on many worlds at once: our vector environments by the entry point that RLlib has for them.
+"""PPO of RLlib on many worlds at once, by RLlib's entry point for vector environments.
 
     pip install "h3data[env]" "ray[rllib]"
     python examples/rllib_ppo.py --updates 10 --worlds 16
@@ -29,7 +29,7 @@ def make_env(config: dict[str, Any]) -> Any:
 
 
 def ppo_config(task: str, scenes: Any, worlds: int, *, per_update: int = 1024, **options: Any) -> PPOConfig:
-    """PPO in this process, without workers; ``options`` are those of `h3data.make`."""
+    """Return the settings of PPO in this process, without workers; ``options`` are those of `h3data.make`."""
     register_env("h3data", make_env)
     return (
         PPOConfig()

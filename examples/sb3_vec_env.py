@@ -19,7 +19,7 @@ import h3data
 
 
 class Sb3VecEnv(VecEnv):
-    """Our worlds as Stable-Baselines3 expects them: an episode that ends begins anew in the same step."""
+    """Worlds of h3data as Stable-Baselines3 expects them, with a new episode in the step in which one ends."""
 
     def __init__(self, task: str, scenes: Any, worlds: int, **options: Any) -> None:
         self.env: Any = h3data.make(task, scenes, num_envs=worlds, autoreset_mode="SAME_STEP", **options)

@@ -1,9 +1,10 @@
-"""PPO of TorchRL on many worlds at once: its wrapper of Gymnasium takes our vector environments as they are.
+"""PPO of TorchRL on many worlds at once, with TorchRL's wrapper of Gymnasium around our vector environments.
 
     pip install "h3data[env]" torchrl
     python examples/torchrl_ppo.py --steps 20000 --worlds 16
 
-With ``autoreset_mode="DISABLED"`` TorchRL itself says which worlds begin again, so no episode's last observation is lost.
+With ``autoreset_mode="DISABLED"`` TorchRL itself selects the worlds that begin again, so no episode's last observation
+is lost.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def make_networks(env: TransformedEnv) -> tuple[ProbabilisticActor, ValueOperato
 
 
 def train(env: TransformedEnv, steps: int, *, per_update: int = 1024, epochs: int = 4) -> list[dict[str, float]]:
-    """Learn for so many steps of all worlds together; return the losses and the rewards of each update."""
+    """Learn for a number of steps of all worlds together; return the losses and the rewards of each update."""
     actor, critic = make_networks(env)
     loss_of, advantage_of = ClipPPOLoss(actor, critic), GAE(gamma=0.99, lmbda=0.95, value_network=critic)
     optimizer = torch.optim.Adam(loss_of.parameters(), lr=3e-4)

@@ -46,7 +46,7 @@ class Learner(nn.Module):
         return self.critic((x - self.mean) / self.scale())[..., 0]
 
     def look(self, x: Tensor) -> None:
-        """Take observations [n, inputs] into the mean and the variance (Chan, Golub and LeVeque 1979)."""
+        """Update mean and variance with observations [n, inputs] (Chan, Golub and LeVeque 1979)."""
         share, off = len(x) / (self.seen + len(x)), x.mean(0) - self.mean
         self.var.lerp_(x.var(0), share).add_(share * (1 - share) * off**2)
         self.mean.add_(share * off)
@@ -58,7 +58,7 @@ def flat(observation: dict[str, Tensor]) -> Tensor:
 
 
 def roll_out(env: Any, learner: Learner, generator: torch.Generator, x: Tensor) -> tuple[dict[str, Tensor], Tensor]:
-    """Collect `ROLLOUT` steps, arrays [T, W, ...], and returns them with the observation that follows."""
+    """Collect `ROLLOUT` steps, arrays [T, W, ...], and return them with the observation that follows."""
     rows = []
     for _ in range(ROLLOUT):
         begins, before, chosen = env.play.ended.clone(), env.play.followed.clone(), learner.policy(x)
@@ -81,7 +81,7 @@ def roll_out(env: Any, learner: Learner, generator: torch.Generator, x: Tensor) 
 
 
 def add_advantages(seen: dict[str, Tensor], learner: Learner, last: Tensor, gamma: float) -> None:
-    """Generalised advantage estimates (Schulman et al. 2016). An episode that was truncated would have gone on."""
+    """Add generalised advantage estimates (Schulman et al. 2016); truncated episodes count as if they continued."""
     value = learner.value(torch.cat([seen["x"], last[None]]))
     gain = (1 - gamma) * seen["reward"] + gamma * value[1:] * ~seen["terminated"] - value[:-1]
     for t in reversed(range(len(gain) - 1)):
@@ -92,7 +92,10 @@ def add_advantages(seen: dict[str, Tensor], learner: Learner, last: Tensor, gamm
 def learn(
     seen: dict[str, Tensor], learner: Learner, optimizer: torch.optim.Adam, generator: torch.Generator, size: int
 ) -> None:
-    """Some epochs, ``size`` samples at once. A step that begins an episode takes no action, so nothing is learned from it."""
+    """Learn for some epochs, from ``size`` samples at once.
+
+    Steps that begin an episode have no action, so nothing is learned from them.
+    """
     samples = {name: rows[~seen["begins"]] for name, rows in seen.items()}
     samples["gain"] = (samples["gain"] - samples["gain"].mean()) / samples["gain"].std()
     for _ in range(EPOCHS):
@@ -124,22 +127,23 @@ def train(
     checkpoint_s: float = 10.0,
     resume: bool = False,
 ) -> list[dict[str, float]]:
-    """Learn, and write a file of weights; returns the learning curve.
+    """Learn, write a file of weights, and return the learning curve.
 
     Args:
-        out: File of weights. Beside it lie the learning curve, ``.csv``, and the checkpoint, ``.checkpoint``.
-        scenes: Homes to learn in.
-        episodes: How many different ones are played.
+        out: File of weights. The learning curve (``.csv``) and the checkpoint (``.checkpoint``) are written next to it.
+        scenes: Homes for learning.
+        episodes: Number of different episodes that are played.
         device: cpu or cuda.
         compile: Fuse the operations of a step: a minute of compiling, then three times as fast; the CPU needs g++.
-        worlds: How many are stepped at once.
-        minibatch: So many samples are learned from at once; more worlds want more of them.
-        steps: Of all worlds together.
-        seed: Everything random follows from it.
-        horizon: Steps that it looks ahead at first and at last: finding the person comes before never touching them.
-        observations: What the robot is shown (docs/environments.md).
-        checkpoint_s: Seconds between two of them.
-        resume: Go on from the checkpoint, to the weights that would have come out uninterrupted.
+        worlds: Number of worlds that are stepped at once.
+        minibatch: Number of samples in a gradient step; more worlds need more samples.
+        steps: Number of steps of all worlds together.
+        seed: Seed of all random numbers.
+        horizon: Number of steps that the robot looks ahead at first and at last, so that finding the person is learned
+            first.
+        observations: Observations of the robot (docs/environments.md).
+        checkpoint_s: Time between two checkpoints [s].
+        resume: Continue from the checkpoint; the weights are those of an uninterrupted run.
     """
     torch.manual_seed(seed)
     env = h3data.make(

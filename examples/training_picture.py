@@ -39,7 +39,7 @@ def write(panel: np.ndarray, text: str, x: int, y: int, color: tuple[int, int, i
 
 
 def ticks(most: float) -> np.ndarray:
-    """Round numbers from 0 to ``most``, six at most."""
+    """Return round numbers from 0 to ``most``, six at most."""
     size = 10.0 ** np.floor(np.log10(most / 5))
     step = next(size * k for k in (1, 2, 5, 10) if most <= 5 * size * k)
     return np.arange(0, most + step / 100, step)

@@ -16,7 +16,7 @@ from h3data_studies.statistics import (
 
 
 def draw(means: MarginalMeans, path: str) -> None:
-    """Estimated means as dots, 95% intervals as bars."""
+    """Draw estimated means as dots, and 95% intervals as bars."""
     ends, most = means.intervals(), float(means.intervals().max()) * 1.1
     picture = Image.new("RGB", (720, 60 + 50 * len(means.levels)), "white")
     pen, font = ImageDraw.Draw(picture), ImageFont.load_default(18)

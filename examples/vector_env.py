@@ -9,7 +9,7 @@ env = h3data.make("social_nav", scenes=[f"h3-homes/train#{k}" for k in range(4)]
 
 
 def towards_person(observation: dict[str, np.ndarray]) -> np.ndarray:
-    """Turn to the person, drive while they are ahead and not near: a start, but it knows nothing of walls."""
+    """Return actions that turn to the person, and drive while the person is ahead and not near; walls are ignored."""
     distance, to_the_right = observation["humanoid_gps"].T
     forward = np.where((distance > 1.5) & (np.abs(to_the_right) < 1.0), 1.0, 0.0)
     return np.stack([forward, np.clip(-4 * to_the_right, -1, 1)], axis=-1).astype(np.float32)

@@ -11,14 +11,16 @@ R = TypeVar("R")
 
 
 class H3DataError(Exception):
-    """Base of all errors that h3data raises. Messages state what was expected, what was given and what to do.
+    """Base of all errors that h3data raises.
 
-    Each kind of message has a code such as ``H3-SCENE-014``, which stays the same when its words change. `str` gives the
-    sentence alone; a traceback shows the code in a line below it. `make error-codes` assigns the codes.
+    Messages state the expected and the given value, and how to fix the error.
+
+    Each kind of message has a code such as ``H3-SCENE-014``, which stays the same when its words change. `str` gives
+    the sentence alone; a traceback shows the code in a line below it. `make error-codes` assigns the codes.
     """
 
     code: str = "H3-OTHER-000"
-    """Code of the message. An error raised without a code, as by a plug-in, has the code of its class."""
+    """Code of the message. Errors without a specific code, such as those of plug-ins, have the code of their class."""
 
     def __init__(self, *args: object, code: str = "") -> None:
         super().__init__(*args)
@@ -52,7 +54,9 @@ class PluginError(H3DataError):
 
 
 class JobStopError(H3DataError):
-    """Error that stops a whole job, for example when its budget is used up: played episodes stay, and no other begins."""
+    """Error that stops a whole job, for example when its budget is used up.
+
+    Finished episodes are kept, and no other episode starts."""
 
 
 class UntrustedNameError(InputError):
@@ -86,7 +90,8 @@ def suggest(name: str, valid: Iterable[str], *, lead: str = "Expected one of", m
 def suggest_keywords(function: Callable[P, R]) -> Callable[P, R]:
     """Decorate a function so that the `TypeError` of an unknown keyword argument names the closest one, or all of them.
 
-    Python does so itself from 3.13 on, but not which there are. For functions without ``**`` arguments.
+    Python 3.13 and later suggest the closest name, but do not list all names. The decorator is for functions without
+    ``**`` arguments.
     """
     code = function.__code__
     keywords = code.co_varnames[code.co_posonlyargcount : code.co_argcount + code.co_kwonlyargcount]

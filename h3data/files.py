@@ -16,15 +16,15 @@ from h3data.errors import InputError
 
 
 def size_text(count: int) -> str:
-    """Return a number of bytes for people: ``1.2 MB``, ``3.4 kB``."""
+    """Return a number of bytes as readable text: ``1.2 MB``, ``3.4 kB``."""
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
 
 
 def spreadsheet_cell(value: Any) -> Any:
-    """Return a cell of a CSV file that no spreadsheet runs as a formula.
+    """Return the text of a CSV cell, changed so that no spreadsheet runs it as a formula.
 
-    Text that begins with ``=``, ``+``, ``-``, ``@`` (full-width ones too), blanks before them included, with a tab or a line
-    break gets an apostrophe before it; numbers, as text or not, and all other text stay as they are (OWASP, "CSV Injection").
+    Text that starts with ``=``, ``+``, ``-``, ``@`` (also full-width, and also after blanks), a tab or a line break
+    gets an apostrophe before it. Numbers and all other text are unchanged (OWASP, "CSV Injection").
     """
     if not isinstance(value, str) or not re.match(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\r\n]", value):
         return value
@@ -59,7 +59,7 @@ def cache_folder(kind: str) -> Path | None:
 
 
 def evict(folder: Path, room: float, *, keep: Path) -> None:
-    """Delete the least recently used files of a cache folder until the rest fits in ``room`` bytes.
+    """Delete the least recently used files of a cache folder until the remaining files fit in ``room`` bytes.
 
     ``keep``, the file written last, is never deleted, but its size counts. Unfinished files that killed processes left
     more than a day ago are deleted as well. A process that has a deleted file open can still read it.
@@ -91,8 +91,8 @@ def part_file(
     """Yield a temporary path next to ``path``, which is renamed to ``path`` on success.
 
     Any exception removes the temporary file, except the types in ``kept_after``. Its path is ``<path>.part``, made
-    absolute because libraries take a relative one such as ``walk:1.mp4`` for a URI. With ``shared`` its name is unique,
-    so that several processes may fill the same cache entry at once; the last one to finish wins.
+    absolute because some libraries treat a relative path such as ``walk:1.mp4`` as a URI. With ``shared`` its name is
+    unique, so that several processes may fill the same cache entry at once; the last one to finish wins.
 
     Raises:
         InputError: the folder does not exist.

@@ -29,7 +29,7 @@ def _floating(value: ArrayLike) -> Array:
 
 
 def _components(vectors: Array, *others: Array) -> list[Any]:
-    """Components [...] of vectors [..., n], as views of the array.
+    """Return the components [...] of vectors [..., n], as views of the array.
 
     Those of a single float64 vector are Python floats, unless they are combined with ``others`` of another type. The
     bits of the results are the same, in a third of the time: a step of a person computes some twenty single
@@ -56,12 +56,12 @@ Share = TypeVar("Share", float, NDArray[np.float64], Array)
 
 
 def smoothstep(share: Share) -> Share:
-    """Return the share of a path at a share of its time, both from 0 to 1, at rest at both ends: a cubic."""
+    """Return the progress along a path, 0 to 1, at a share of its time, by a cubic with zero speed at both ends."""
     return share * share * (3 - 2 * share)
 
 
 def minimum_jerk(share: Share) -> Share:
-    """Return the share of a path at a share of its time, both from 0 to 1, without acceleration at both ends: a quintic.
+    """Return the progress along a path, 0 to 1, at a share of its time, by a quintic without acceleration at both ends.
 
     It is the minimum-jerk profile of Flash and Hogan (1985).
     """
@@ -71,7 +71,7 @@ def minimum_jerk(share: Share) -> Share:
 def add_up(values: Iterable[float]) -> float:
     """Return the sum from left to right, 0.0 without numbers, with the same bits on all versions of Python.
 
-    Since Python 3.12, `sum` rounds otherwise.
+    The built-in `sum` rounds differently since Python 3.12.
     """
     return reduce(operator.add, values, 0.0)
 
@@ -91,7 +91,7 @@ def normalized(vectors: ArrayLike) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return cross products [..., 3], bit-identical to `numpy.cross`, whose argument checks dominate for a few vectors."""
+    """Return cross products [..., 3], bit-identical to `numpy.cross`, but faster for few vectors."""
     if _is_single(a) and _is_single(b):
         (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
         return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
@@ -122,7 +122,7 @@ def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def _product(a: list[float], b: list[float]) -> tuple[float, float, float, float]:
-    """`quat_multiply` of two quaternions, bit for bit."""
+    """Return `quat_multiply` of two quaternions, bit for bit."""
     (ax, ay, az, aw), (bx, by, bz, bw) = a, b
     return (
         aw * bx + ax * bw + ay * bz - az * by,
@@ -151,7 +151,7 @@ def quat_rotate(q: ArrayLike, vectors: ArrayLike) -> Array:
 
 
 def _rotated(q: list[float], v: list[float]) -> tuple[float, float, float]:
-    """`quat_rotate` of one vector, bit for bit."""
+    """Return `quat_rotate` of one vector, bit for bit."""
     (ax, ay, az, w), (x, y, z) = q, v
     tx, ty, tz = 2 * (ay * z - az * y), 2 * (az * x - ax * z), 2 * (ax * y - ay * x)
     return x + w * tx + (ay * tz - az * ty), y + w * ty + (az * tx - ax * tz), z + w * tz + (ax * ty - ay * tx)
@@ -227,7 +227,7 @@ def quat_to_matrix(q: ArrayLike) -> Array:
 def quat_from_matrix(matrix: ArrayLike) -> Array:
     """Return the unit quaternions [..., 4] with w >= 0 of rotation matrices [..., 3, 3].
 
-    Divides by the largest of the four components, so that no case loses precision (Shepperd's method).
+    The computation divides by the largest of the four components, so that no case loses precision (Shepperd's method).
     """
     m = _floating(matrix)
     # single matrices are the common case, and NumPy's calls would take most of their time
@@ -249,7 +249,7 @@ def quat_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def _quat_of_rows(rows: list[list[float]]) -> list[float]:
-    """`quat_from_matrix` of one matrix, bit for bit."""
+    """Return `quat_from_matrix` of one matrix, bit for bit."""
     (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = rows
     squares = (1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22, 1 + m00 + m11 + m22)
     best = squares.index(max(squares))
@@ -316,7 +316,9 @@ def pose_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def pose_multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """Return pose ``b``, given in frame ``a``, in the frame that ``a`` is given in, shape [..., 7]."""
+    """Return the product of poses ``a`` and ``b``, shape [..., 7].
+
+    The result is the pose ``b``, given in frame ``a``, expressed in the parent frame of ``a``."""
     if _is_single(a) and _is_single(b):
         (px, py, pz, *turn), (*offset, bx, by, bz, bw) = a.tolist(), b.tolist()  # type: ignore[union-attr]
         x, y, z = _rotated(turn, offset)
@@ -345,13 +347,15 @@ def transform_points(matrix: ArrayLike, points: ArrayLike) -> Array:
 
 
 def distance_to_circles(points: Any, headings: Any, circles: Any, *, xp: Any = np) -> Any:
-    """Return the distance [..., R] [m] from floor points along headings to the first circle; inf: none, 0: inside of one.
+    """Return the distance [..., R] [m] from floor points along headings to the first circle.
+
+    It is infinite if no circle is hit, and 0 inside a circle.
 
     Args:
         points: Points (x, z) [..., 2] [m].
         headings: Headings of the rays [..., R] [rad].
-        circles: Circles (x, z, radius) [..., N, 3] [m], N > 0; no ray meets one with NaN.
-        xp: The namespace of all three: ``numpy`` or ``torch``.
+        circles: Circles (x, z, radius) [..., N, 3] [m], N > 0; circles with NaN are never hit.
+        xp: Array namespace of the arguments: ``numpy`` or ``torch``.
     """
     gap = circles[..., None, :, :2] - points[..., None, None, :]
     x, z = xp.cos(headings)[..., None], -xp.sin(headings)[..., None]
@@ -389,7 +393,7 @@ def sloped_pose(
     Args:
         height_at: height of the floor at points [..., 2] [m].
         xz: positions on the floor [..., 2] [m].
-        heading_rad: heading of the agent [...].
+        heading_rad: heading of the agent [...] [rad].
         length_m: distance between the two points that rest on the floor. Above 0, the root pitches with the floor under
             both points and lies at its mean height there; at 0 it stays upright.
     """

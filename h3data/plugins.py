@@ -250,12 +250,12 @@ class Registry(Generic[T]):
 
     @cached_property
     def _own(self) -> dict[str, Plugin]:
-        """The entries of packages that come with this one, whether they are there or not."""
+        """Entries of packages that come with this one, whether they are installed or not."""
         return {name: Plugin(name, value) for name, value in own_entries(self.group).items()}
 
     @cached_property
     def _built_in(self) -> dict[str, Plugin]:
-        """The entries of the table, then those of the packages that come with this one and are there."""
+        """Entries of the table, then those of the packages that come with this one and are installed."""
         there = {name: entry for name, entry in self._own.items() if _is_there(entry.value)}
         return {name: entry for name, entry in (self._table | there).items() if entry.value != ""}
 
@@ -356,7 +356,7 @@ class Registry(Generic[T]):
         return self._origin(claims[0]) if claims and name not in self._built_in else repr(name)
 
     def _third_party(self) -> dict[str, list[Plugin]]:
-        """Installed entry points by name; several if packages disagree about what the name stands for.
+        """Return the installed entry points by name; several if packages disagree about what the name stands for.
 
         They are read again only after a package has been installed or removed, or the working directory has changed: files are
         recognized and metrics found thousands of times in a process.

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 LINE_EVERY_S = 30.0
-"""Seconds between two lines off a terminal; shorter work prints none."""
+"""Time between two progress lines if stderr is not a terminal [s]; shorter work prints no line."""
 QUIET = "H3DATA_QUIET"
 """Environment variable that silences progress and notices, set by ``h3data ... --quiet``. Worker processes inherit it."""
 BEGUN = Event()
-"""Event that is set once this process has shown progress: notices would then come between progress lines."""
+"""Event that is set once this process has printed progress, after which notices would interrupt progress lines."""
 
 
 def is_quiet() -> bool:
@@ -28,7 +28,7 @@ def is_quiet() -> bool:
 
 
 def say(line: str) -> None:
-    """Write a line to stderr, unless `is_quiet`; control characters of terminals are replaced."""
+    """Write a line to stderr, unless `is_quiet`; terminal control characters are replaced."""
     if not is_quiet():
         sys.stderr.write(printable(line) + "\n")
         sys.stderr.flush()
@@ -49,13 +49,13 @@ def progress(
 
     Args:
         items: Items to iterate over, each counting as one unit; None if ``update`` is called instead.
-        desc: Name of the work, in a word.
+        desc: Name of the work, in one word.
         unit: Name of a unit, in the singular.
         total: Number of units, by default the length of ``items``.
-        initial: Number of units that were done before.
+        initial: Number of units that are done already.
         delay: Seconds before a bar appears.
         leave: True if a finished bar stays on the terminal.
-        at_least: Fewer units than this show no progress.
+        at_least: Smallest number of units for which progress is displayed.
     """
     from tqdm import tqdm
 

@@ -1,4 +1,7 @@
-"""Conversion between sRGB and linear light (IEC 61966-2-1). Colours are stored as sRGB; arithmetic uses linear light."""
+"""Conversion between sRGB and linear light (IEC 61966-2-1).
+
+Colours are stored as sRGB; arithmetic uses linear light.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Text for people to read. Names in recordings may come from strangers and contain a terminal's control sequences."""
+"""Formatting of text for terminals.
+
+Names in recordings may come from unknown sources and contain terminal control sequences.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections.abc import Sequence
 
 
 def printable(text: str) -> str:
-    """Return the text with control characters written out, such as ``\\x1b``, so that it cannot move a cursor or hide words."""
+    """Return the text with control characters written out, such as ``\\x1b``, so that it moves no cursor and hides no text."""
     # C0 and C1 control characters except tab and newline, and the overrides of writing direction
     # (CVE-2021-42574)
     control = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")

@@ -438,7 +438,7 @@ class World:
         return checked
 
     def _discs_beside(self, agent: int, agents: Sequence[AgentState], *, legs: bool = False) -> Array:
-        """Discs ``(x, z, radius)`` of all others in a state, [W, N, 3]."""
+        """Return the discs ``(x, z, radius)`` of all others in a state, [W, N, 3]."""
         # a lone agent has nobody beside it, and `np.concatenate` takes no empty list
         discs = [np.zeros((self.worlds, 0, 3))]
         for k, (member, was) in enumerate(zip(self.roster, agents, strict=True)):
@@ -475,7 +475,7 @@ class World:
             own.seat[:] = command.posture.seat
 
     def _touching(self, rows: Rows) -> NDArray[np.bool_]:
-        """Pairs that touch in the worlds ``rows`` [n], [n, P]."""
+        """Return the pairs that touch in the worlds ``rows`` [n], [n, P]."""
         return (
             self._contact.touching(self, rows)
             if self._finds_contact

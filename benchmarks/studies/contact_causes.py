@@ -61,7 +61,7 @@ class Variant(NamedTuple):
 
 
 BEFORE = {"robot": HOME_BASE, "human": HOME_WALKER, "person_contact": "body"}
-"""Rules before the causes of contacts were known, which each variant changes."""
+"""Rules of ``--rules paper`` before the causes of contacts were known; each variant changes them."""
 PAPER_BASE, PAPER_WALKER, BONES = {"robot": BaseSpec()}, {"human": WalkerSpec()}, {"person_contact": "bones"}
 OWN = "benchmarks.studies.contact_causes:"
 VARIANTS = {
@@ -92,7 +92,7 @@ VARIANTS = {
 
 
 def contact_of(recording: Recording) -> dict[str, float]:
-    """Return of the step of the contact whether the robot was told to back, whether its base was against an obstacle,
+    """Return data of the step of contact: whether the robot was told to back, whether its base was against an obstacle,
     and the speed at which the person came nearer [m/s].
     """
     robot, person = (recording.agent_column(k, "base_pose")[-2:, [0, 2]].astype(np.float64) for k in (0, 1))

@@ -238,7 +238,7 @@ def python_value(option: Option, value: Any) -> Any:
     """Return the value of an option from a Python value: one value or several, paths as text, and objects by their names.
 
     Raises:
-        InputError: it is not of the option's type.
+        InputError: the value does not have the option's type.
     """
     if option.count == 1:
         return _one(option, value)

@@ -145,7 +145,7 @@ def _members(file: SourceFile) -> Any:
 
 
 def _third_party_formats(file: SourceFile) -> Iterator[Format]:
-    """Installed formats that fit; warns about those whose check fails."""
+    """Yield the installed formats that match a file, and warn about those whose check fails."""
     plugins = FORMATS.load_third_party()
     members = _members(file) if any(one.members is not None for one in plugins.values()) else None
     head = file.head.removeprefix(BYTE_ORDER_MARK)

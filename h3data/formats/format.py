@@ -77,7 +77,7 @@ class ImportRequest:
     unit: LengthUnit | None = None
     """Unit of lengths in a file of tracks; None: that of its format."""
     rate: float | None = None
-    """Frames per second in a file of tracks [1/s]."""
+    """Number of frames per second in a file of tracks, by which frame numbers become times [1/s]."""
     hz: float | None = None
     """Rows per second of the recording [1/s]; None for a row per observation."""
     model: str = ""

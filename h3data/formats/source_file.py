@@ -53,7 +53,7 @@ class SourceFile(os.PathLike[str]):
         return b"".join(self.chunks())
 
     def chunks(self) -> Iterator[bytes]:
-        """Yield the content in pieces, without storing it in memory."""
+        """Yield the content in pieces, without storing the whole content in memory."""
         if "data" in self.__dict__:
             yield self.data
             return

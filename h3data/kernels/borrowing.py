@@ -1,6 +1,6 @@
-"""Parts of kernels that only borrow arrays, to which numba counts no references.
+"""Parts of kernels that only borrow arrays, for which numba's reference counting is turned off.
 
-Counting is atomic. It takes most of the time of functions that take arrays out of tuples and rows out of arrays.
+Reference counting is atomic, and takes most of the time of functions that read arrays from tuples and rows from arrays.
 """
 
 from __future__ import annotations
@@ -74,5 +74,8 @@ class BorrowingCompiler(PartCompiler):
 
 @functools.cache
 def borrowing_type(dispatcher_type: type) -> type:
-    """Return the class of parts that borrow: its name is in the digest of their code (`h3data.kernels.digests`)."""
+    """Return the dispatcher class of parts that borrow arrays.
+
+    Its name is part of the digests of these parts (`h3data.kernels.digests`).
+    """
     return type("BorrowingPart", (part_type(dispatcher_type),), {})

@@ -52,9 +52,9 @@ ANNOUNCEMENT = "Compiling kernels, once per machine: up to a minute in all; `h3d
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: ``njit(cache=True, nogil=True)`` with further ``options``.
+    """Decorate a function with ``njit(cache=True, nogil=True)`` and further ``options``.
 
-    Functions that only kernels call are better a `kernel_part`.
+    Use `kernel_part` for functions that only kernels call.
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
@@ -75,16 +75,17 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def kernel_part(*, borrows: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: ``njit(nogil=True)`` with further ``options``, for functions that only kernels call.
+    """Decorate a function that only kernels call with ``njit(nogil=True)`` and further ``options``.
 
-    They have no machine code of their own, which halves the time that kernels take to compile: LLVM sees a part as
-    numba lowered it and optimises it once in each kernel that it becomes part of. A call from Python raises TypeError.
+    Parts have no machine code of their own, which halves the time for compiling kernels: LLVM gets a part as numba
+    lowered it, and optimises it once in each kernel that contains it. A call from Python raises TypeError.
 
     Args:
-        borrows: The part makes no arrays and returns none, nor calls a part that returns one: it only reads and writes
-            those of its arguments, which the kernel keeps alive. numba then counts no references to arrays in it.
-            Counting is atomic, and took two thirds of the time of people's gait, whose parts take arrays out of tuples
-            and rows out of arrays. A part that makes, returns or gets an array all the same is not compiled.
+        borrows: True if the part creates and returns no arrays, and calls no part that returns one. It only reads and
+            writes the arrays in its arguments, which the kernel keeps alive. numba then counts no references to arrays
+            in it. Counting is atomic, and took two thirds of the time of people's gait, whose parts take arrays out of
+            tuples and rows out of arrays. Compilation fails if such a part creates, returns or receives an array
+            nevertheless.
         options: Further options of ``njit``.
     """
     compiler, kind = (BorrowingCompiler, borrowing_type) if borrows else (PartCompiler, part_type)
@@ -113,7 +114,7 @@ def compiled_files() -> dict[str, int]:
 
 
 def _compile(dispatcher: Any, signature: Any) -> Any:
-    """numba's `Dispatcher.compile`, at most once per machine, and not at all where the machine code came along."""
+    """Run numba's `Dispatcher.compile`, at most once per machine, and not at all if the machine code was shipped."""
     with global_compiler_lock:  # taken before the file lock by everybody, so that threads cannot block each other
         types = tuple(sigutils.normalize_signature(signature)[0])
         if types not in dispatcher.overloads and not shipped.load(dispatcher, types):

@@ -49,7 +49,7 @@ def _source(module: str) -> tuple[str, tuple[str, ...]]:
 
 
 def source_digest(module: str) -> str:
-    """Return the digest of the sources of a module and of all our modules that it imports, directly or indirectly."""
+    """Return the digest of the sources of a module and of all h3data modules that it imports, directly or indirectly."""
     digests: dict[str, str] = {}
     waiting = [module]
     while waiting:
@@ -86,10 +86,10 @@ def code_digest(kernel: Any) -> str:
 
 
 def types_digest(kinds: Iterable[types.Type]) -> str:
-    """Return the digest of the numba types of a kernel's arguments, with the field names of tuples, by which kernels read them.
+    """Return the digest of the numba types of a kernel's arguments, including the field names of tuples.
 
     Raises:
-        UnknownError: a type of a kind that is not known here.
+        UnknownError: a type is of an unsupported kind.
     """
     return _digest(map(_type, kinds))
 
@@ -112,7 +112,7 @@ def _function(function: Any) -> tuple[str, list[Any]]:
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """Names that code may look up among its globals; some are attributes, which does no harm."""
+    """Yield the names that code may look up among its globals; some are attributes, which does no harm."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):

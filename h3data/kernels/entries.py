@@ -10,9 +10,9 @@ from numba.core.dispatcher import Dispatcher
 class Entries:
     """Machine code of kernels for one owner, such as a floor, found at the first call of each.
 
-    numba looks at the types of all arguments in every call, which for a tuple of twenty arrays takes ten times as long as to
-    hand it over. The owner promises that the arguments of all calls of a kernel have the types of the first ones: here
-    nothing checks them. Numbers of NumPy count as Python's, but whole numbers must not stand for floats.
+    numba checks the types of all arguments in every call, which takes ten times as long as passing them, for a tuple of
+    twenty arrays. The owner guarantees that the arguments of all calls of a kernel have the types of the first call;
+    they are not checked here. NumPy scalars are treated as Python numbers, but integers must not be passed for floats.
     """
 
     def __init__(self) -> None:

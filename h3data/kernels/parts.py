@@ -1,7 +1,8 @@
 """Functions that only kernels call, without machine code of their own.
 
-What h3data takes from inside numba's compiler is here, and what it takes from its cache in `h3data.kernels.decorators` and
-`h3data.kernels.shipped`; tests/test_kernels.py names what a new numba has changed of it.
+This module contains all uses of the internals of numba's compiler. `h3data.kernels.decorators` and
+`h3data.kernels.shipped` use the internals of its cache. tests/test_kernels.py reports changes of these in a new version
+of numba.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from numba.core.typed_passes import NativeLowering
 class _PartLibrary(JITCodeLibrary):
     """LLVM module of a function that is linked into the kernels that call it.
 
-    numba would optimise the module together with all functions that it calls, and compile it to machine code that
-    nobody runs. Skipping this saves a third of the compile time (21 of 36 s for the gait of people).
+    numba would optimise the module together with all functions that it calls, and compile it to machine code that is
+    never run. Skipping this saves a third of the compile time (21 of 36 s for the gait of people).
     """
 
     def _optimize_functions(self, ll_module: Any) -> None:
@@ -87,7 +88,7 @@ def part_type(dispatcher_type: type) -> type:
         )
 
     def get_call_template(self: Any, args: Any, kws: Any) -> Any:
-        """numba would compile a part once for each constant argument."""
+        """Return the call template, with constant arguments typed as plain values."""
         plain = {name: types.unliteral(kind) for name, kind in kws.items()}
         return dispatcher_type.get_call_template(self, tuple(types.unliteral(kind) for kind in args), plain)
 

@@ -1,16 +1,16 @@
 """Machine code of kernels from the package ``h3data_kernels``, which avoids waiting for compilation.
 
-A file holds one kernel for one list of argument types, as numba pickles it for its own cache, with xz. Its name has the
-digests of all that went into it (`h3data.kernels.digests`), and its folder the versions of Python and numba, the system and
-the level of the processor: code that does not fit has another name and is not found, so the kernel is compiled as if there
-were no package. So it is where anything else is amiss: no package, another processor, a damaged file, settings of numba
-that change what it compiles (``NUMBA_CPU_NAME=host`` compiles for just this processor).
+A file holds one kernel for one list of argument types, as numba pickles it for its own cache, compressed with xz. Its
+name has the digests of everything that determines the code (`h3data.kernels.digests`), and its folder the versions of
+Python and numba, the system and the level of the processor: code that does not fit has another name and is not found,
+so the kernel is compiled as if there were no package. The same applies if there is no package, another processor, a
+damaged file, or a setting of numba that changes the code (``NUMBA_CPU_NAME=host`` compiles for just this processor).
 
-Pickles can run code, as modules can. They are therefore read from one place only: the package beside this one in the same
-folder of installed packages, or in the same checkout.
+Pickles can run code, as modules can. They are therefore read from one place only: the package beside this one in the
+same folder of installed packages, or in the same checkout.
 
 ``make kernels`` fills the package. It runs commands with ``H3DATA_KERNELS_RECORD`` naming a folder; every process then
-leaves there the kernels that it has used.
+writes the kernels that it has used there.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from h3data.kernels.digests import OURS, UnknownError, code_digest, types_digest
 log = logging.getLogger(__name__)
 
 LEVEL = "x86-64-v3"
-"""Name of the set `LEVEL_FEATURES`. Code for this level is as fast as code for the machine's own processor, except step
-kernels with AVX-512."""
+"""Name of the set `LEVEL_FEATURES`. Code for this level is as fast as code for the machine's own processor, except for
+step kernels on processors with AVX-512."""
 LEVEL_FEATURES = (
     "avx",
     "avx2",
@@ -75,13 +75,13 @@ def folder_name() -> str:
 
 
 def folder() -> Path | None:
-    """Return the folder of kernels that fit this machine; None if there are none."""
+    """Return the folder of the shipped kernels for this machine, or None if there are none."""
     found = _found()
     return found if isinstance(found, Path) else None
 
 
 def missing() -> str:
-    """Return the reason why no kernels are shipped for this machine; empty if there are some."""
+    """Return the reason why no kernels are shipped for this machine; empty if there are shipped kernels."""
     found = _found()
     return found if isinstance(found, str) else ""
 
@@ -111,7 +111,7 @@ def _found() -> Path | str:
 
 
 def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
-    """Give a kernel its shipped machine code for arguments of these types; return False if none fits."""
+    """Load the shipped machine code of a kernel for arguments of these types; return False if there is none."""
     shipped = folder()
     name = None if shipped is None else file_name(dispatcher, kinds)
     if shipped is None or name is None:
@@ -138,7 +138,7 @@ def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
 
 
 def record(dispatcher: Any, kinds: Sequence[types.Type]) -> None:
-    """Store what was just compiled for arguments of these types in the folder that `RECORD` names, if it does."""
+    """Store the machine code just compiled for these argument types in the folder named by `RECORD`, if it is set."""
     if RECORD not in os.environ or dispatcher.py_func.__module__.split(".")[0] not in OURS:
         return
     name = file_name(dispatcher, kinds)
@@ -183,7 +183,7 @@ def file_name(dispatcher: Any, kinds: Sequence[types.Type]) -> str | None:
 
 
 def code_stamp(dispatcher: Any) -> str:
-    """Return the part of a file's name that changes when the code of a kernel does: its name and a digest."""
+    """Return the part of a file's name that identifies the code of a kernel: its name and a digest."""
     # raise the 1 when machine code changes for a reason that the digests do not see
     digest = hashlib.sha256(f"1 {_compiler_digest()} {code_digest(dispatcher)}".encode()).hexdigest()
     return f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}-{digest[:16]}"

@@ -85,7 +85,7 @@ class Vec:
         return Vec(self.builder, self.builder.fdiv(self._lift(1.0), self.value))
 
     def divided_by(self, other: Vec) -> Vec:
-        """Quotient of the components of two vectors."""
+        """Return the quotients of the components of two vectors."""
         return self._binary("fdiv", other)
 
     def compare(self, operator: str, other: Vec | float) -> Mask:
@@ -93,11 +93,11 @@ class Vec:
         return Mask(self.builder, self.builder.fcmp_ordered(operator, self.value, self._lift(other)))
 
     def minimum(self, other: Vec | float) -> Vec:
-        """Smaller of the components of two vectors."""
+        """Return the smaller one of each pair of components of two vectors."""
         return self.where(self.compare("<", other), other)
 
     def maximum(self, other: Vec | float) -> Vec:
-        """Larger of the components of two vectors."""
+        """Return the larger one of each pair of components of two vectors."""
         return self.where(self.compare(">", other), other)
 
     def where(self, mask: Mask, other: Vec | float) -> Vec:
@@ -105,7 +105,7 @@ class Vec:
         return Vec(self.builder, self.builder.select(mask.value, self.value, self._lift(other)))
 
     def unary(self, name: str) -> Vec:
-        """``ceil``, ``floor``, ``fabs`` or ``sqrt``."""
+        """Return ``ceil``, ``floor``, ``fabs`` or ``sqrt`` of each component."""
         kind = self.value.type
         name = f"llvm.{name}.v8f{32 if kind == FLOAT8 else 64}"
         function = cgutils.get_or_insert_function(self.builder.module, ir.FunctionType(kind, [kind]), name)
@@ -113,7 +113,7 @@ class Vec:
 
 
 def fma(x: Vec, y: Vec | float, z: Vec | float) -> Vec:
-    """``x * y + z`` in one instruction where there is one."""
+    """Return ``x * y + z``, computed by one instruction if the processor has one."""
     b = x.builder
     function = cgutils.get_or_insert_function(b.module, ir.FunctionType(FLOAT8, [FLOAT8] * 3), "llvm.fmuladd.v8f32")
     return Vec(b, b.call(function, [x.value, x._lift(y), x._lift(z)]))
@@ -147,7 +147,7 @@ def load(builder: Any, address: Any, offset: int = 0, kind: Any = FLOAT8) -> Any
 
 
 def fetch(builder: Any, address: Any) -> None:
-    """Asks for the cache line at ``address``, which may lie anywhere."""
+    """Request the cache line at ``address``, which may be any address."""
     kind = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t, INT, INT, INT])
     function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
     # to read, into all levels, data
@@ -161,10 +161,11 @@ def store(builder: Any, value: Any, address: Any, offset: int = 0) -> None:
 
 
 def opaque(builder: Any, value: Any) -> Any:
-    """``value``, of which LLVM knows nothing.
+    """Return ``value`` such that LLVM cannot make assumptions about it.
 
-    LLVM makes a masked store of a selection that is stored, which AMD's processors do in microcode and later loads have to
-    wait for; a blend and a whole store take half the time. Only where eight lanes fit one register.
+    LLVM turns the store of a selection into a masked store, which AMD's processors execute in microcode and for which
+    later loads have to wait. A blend and a whole store take half the time. The function has an effect only where eight
+    lanes fit one register.
     """
     if not _AVX:
         return value
@@ -173,7 +174,7 @@ def opaque(builder: Any, value: Any) -> Any:
 
 
 def pick(builder: Any, low: Any, high: Any, order: Sequence[int]) -> Any:
-    """Lanes of two vectors in the given order: 0-7 are those of ``low``, 8-15 those of ``high``."""
+    """Return lanes of two vectors in the given order: 0-7 are lanes of ``low``, 8-15 are lanes of ``high``."""
     return builder.shuffle_vector(low, high, ir.Constant(INT8, list(order)))
 
 

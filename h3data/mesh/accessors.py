@@ -92,7 +92,7 @@ class GltfArrays:
         return data[start : start + size]
 
     def _strided(self, record: dict[str, Any], where: str, dtype: np.dtype, count: int, width: int) -> NDArray[Any]:
-        """Elements [count, width] from the view that ``record`` names."""
+        """Return the elements [count, width] from the view that ``record`` names."""
         data = self.view(record["bufferView"])
         view = entry(self.document, "bufferViews", record["bufferView"])
         start, size = natural(record, "byteOffset", where, 0), width * dtype.itemsize

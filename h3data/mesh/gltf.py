@@ -110,7 +110,7 @@ class GltfFile:
         return ordered
 
     def _roots(self) -> list[int]:
-        """Root nodes of the default scene; without scenes, all nodes without a parent."""
+        """Return the root nodes of the default scene; without scenes, all nodes without a parent."""
         if self.document.get("scenes"):
             return entry(self.document, "scenes", self.document.get("scene", 0)).get("nodes", [])
         nodes = self.document.get("nodes", [])
@@ -118,7 +118,7 @@ class GltfFile:
         return [index for index in range(len(nodes)) if index not in children]
 
     def _placed_meshes(self) -> list[tuple[dict[str, Any], NDArray[np.float64]]]:
-        """Node and 4x4 matrix of every mesh and instance in the scene; a file without nodes shows each mesh once."""
+        """Return node and 4x4 matrix of every mesh and instance in the scene; without nodes, each mesh once."""
         if not self.document.get("nodes"):
             return [({"mesh": index}, np.eye(4)) for index in range(len(self.document.get("meshes", [])))]
         placed = [(index, self.node(index), matrix) for index, _, matrix in self.nodes]

@@ -137,7 +137,7 @@ class GltfMaterials:
 
 
 def _base_color(material: dict[str, Any]) -> tuple[list[float] | None, dict[str, Any] | None]:
-    """Factor and texture of a material, metallic-roughness or the older specular-glossiness."""
+    """Return the factor and texture of a material, metallic-roughness or the older specular-glossiness."""
     # before metallic-roughness, which files with this extension give for readers that do not know it
     older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
     if older is not None:

@@ -96,7 +96,7 @@ def read_primitive(
 def _morphed(
     arrays: GltfArrays, attributes: Mapping[str, NDArray[Any]], targets: Any, weights: Sequence[float], where: str
 ) -> dict[str, NDArray[Any]]:
-    """Attributes with what the targets add to positions and normals."""
+    """Return the attributes with what the targets add to positions and normals."""
     found = dict(attributes)
     if not isinstance(targets, list) or not all(isinstance(target, dict) for target in targets):
         raise ValueError(f"{where}.targets is not a list of objects")
@@ -128,7 +128,7 @@ def _influences(attributes: Mapping[str, NDArray[Any]], where: str) -> tuple[NDA
 
 
 def _triangles(order: NDArray[Any] | None, count: int, mode: int, where: str) -> NDArray[np.int64]:
-    """Vertex indices [F, 3] of the primitive, without triangles that repeat a corner."""
+    """Return the vertex indices [F, 3] of the primitive, without triangles that repeat a corner."""
     if order is None:
         order = np.arange(count)
     if order.ndim != 1 or order.dtype.kind not in "ui":
@@ -227,7 +227,7 @@ def _white_ramp() -> Texture:
 
 
 def _colors(linear: NDArray[Any] | None, look: Look | None, count: int) -> NDArray[np.uint8]:
-    """sRGB [V, 3] of linear vertex colours times the material's factor."""
+    """Return sRGB [V, 3] of linear vertex colours times the material's factor."""
     if linear is None:
         color = DEFAULT_COLOR if look is None else linear_to_bytes(look.factor)
         return np.full((count, 3), color, np.uint8)
@@ -247,7 +247,7 @@ def nearest_texels(texture: Texture, uv: NDArray[Any]) -> NDArray[np.uint8]:
 def _unpacked(
     arrays: GltfArrays, packed: dict[str, Any], accessors: Mapping[str, int]
 ) -> tuple[dict[str, NDArray[Any]], NDArray[Any]]:
-    """Attributes and indices of a Draco-compressed primitive; ``accessors`` say which integers are normalised."""
+    """Return attributes and indices of a Draco primitive; ``accessors`` state which integers are normalised."""
     try:
         import DracoPy
     except ModuleNotFoundError:

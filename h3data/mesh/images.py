@@ -141,7 +141,7 @@ def _opened(data: bytes | memoryview) -> Any:
 
 
 def _pixels(picture: Any, side: int) -> NDArray[np.uint8]:
-    """RGBA texels [H, W, 4] of a Pillow image; a JPEG that is too large is reduced while it is decoded."""
+    """Return the RGBA texels [H, W, 4] of a Pillow image; a JPEG that is too large is reduced while it is decoded."""
     try:
         width, height = picture.size
         # has no effect on other formats than JPEG
@@ -155,7 +155,7 @@ def _pixels(picture: Any, side: int) -> NDArray[np.uint8]:
 
 
 def _ktx2_pixels(data: bytes | memoryview, side: int) -> NDArray[np.uint8]:
-    """RGBA texels of the largest level of a KTX2 image that fits into ``side``, or of its smallest."""
+    """Return the RGBA texels of the largest level of a KTX2 image that fits into ``side``, or of its smallest."""
     try:
         import opengl_basisu
     except ModuleNotFoundError:

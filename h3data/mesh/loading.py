@@ -168,7 +168,7 @@ def _placed(part: Mesh | PlainMesh, matrix: NDArray[np.float64]) -> Mesh:
 
 
 def _turned(normals: NDArray[Any], linear: NDArray[np.float64], mirrored: bool) -> NDArray[np.float32]:
-    """Unit normals [V, 3] of a surface moved by a 3x3 matrix."""
+    """Return the unit normals [V, 3] of a surface moved by a 3x3 matrix."""
     if (linear == np.eye(3)).all() and np.abs((normals * normals).sum(1) - 1).max() < 1e-6:
         return normals.astype(np.float32, copy=False)  # dividing by the length again would change their last bits
     cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])  # also of flat matrices, which have no inverse

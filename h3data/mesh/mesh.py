@@ -13,7 +13,10 @@ from h3data.errors import SceneError
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Texture:
-    """An image on a surface, repeated in both directions. Meshes may share one (the same object)."""
+    """Image on a surface, repeated in both directions.
+
+    Meshes may share a texture (the same object).
+    """
 
     pixels: NDArray[np.uint8]
     """Colour (sRGB) and opacity of each texel, rows from the top, shape [H, W, 4]."""
@@ -33,7 +36,10 @@ class Texture:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
-    """Triangles of one asset in its own frame (+Y up) [m]. Immutable by convention: share it freely."""
+    """Triangle mesh of one asset in its own frame (+Y up) [m].
+
+    It is immutable by convention and can be shared.
+    """
 
     vertices: NDArray[np.float32]
     """Positions of the vertices, shape [V, 3] [m]."""
@@ -47,7 +53,7 @@ class Mesh:
     """Texture coordinates per vertex as in glTF, shape [V, 2]: (0, 0) is the image's upper left corner, (1, 1) its lower
     right one, and it repeats outside."""
     textures: tuple[Texture, ...] = ()
-    """Textures of the mesh. A surface shows texel times vertex colour, multiplied in linear light."""
+    """Textures of the mesh. The colour of a surface is texel times vertex colour, multiplied in linear light."""
     face_textures: NDArray[np.int16] | None = None
     """Index into ``textures`` per triangle, -1 = none, shape [F]; None gives all triangles the first texture."""
 

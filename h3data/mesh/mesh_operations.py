@@ -37,7 +37,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def _face_textures(mesh: Mesh, textures: Sequence[Texture]) -> NDArray[np.int16]:
-    """Texture of each triangle as an index into ``textures``, shape [F]."""
+    """Return the texture of each triangle as an index into ``textures``, shape [F]."""
     place = {id(t): k for k, t in enumerate(textures)}
     index = np.array([place[id(t)] for t in mesh.textures] + [-1], np.int16)  # index -1 finds the last: no texture
     return index[face_texture_indices(mesh)]

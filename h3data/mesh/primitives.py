@@ -159,7 +159,7 @@ def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], segments: i
 
 
 def _icosphere(subdivisions: int) -> Mesh:
-    """Magnum's icosahedron, each triangle split into four ``subdivisions`` times and pushed out to radius 1."""
+    """Return Magnum's icosahedron, each triangle split into four ``subdivisions`` times and pushed out to radius 1."""
     from scipy.spatial import ConvexHull
 
     # edges of an icosahedron in the unit sphere: 1 and the golden ratio, scaled to length 1

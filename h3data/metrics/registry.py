@@ -119,7 +119,7 @@ def _profile_naming(task: str) -> Profile:
 
 
 def metrics_of(profile: str, task: str | None = None) -> tuple[Metric, ...]:
-    """Return all metrics of a profile for a task; by default, for the first task of the profile."""
+    """Return all metrics of a profile for a task; None stands for the first task of the profile."""
     return find_profile(profile, task).metrics
 
 

@@ -18,7 +18,7 @@ class UnmeasurableError(InputError):
 
     def __init__(self, message: str, reason: str, *, code: str = "") -> None:
         self.reason = reason
-        """The same for all recordings with the same gap, so that they can be counted."""
+        """Reason of the error, which is the same for all recordings with the same gap, so that they can be counted."""
         super().__init__(message, code=code)
 
 

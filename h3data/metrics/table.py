@@ -65,7 +65,7 @@ class MetricsTable:
         return self.to_text()
 
     def summary(self, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0) -> dict[str, Summary]:
-        """Return the mean and its interval of each metric, by metric name."""
+        """Return the mean and its interval of each metric, by metric name (see `summarize`)."""
         key = (confidence, resamples, seed)
         # 10,000 resamples of each metric: a report asks for the same summary many times
         if key not in self._summaries:

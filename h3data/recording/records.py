@@ -20,8 +20,8 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
                                         the body; optional
 ``agent_<i>.motion_seat`` float32 [T,2] height of a seat above the floor [m] and share of the path from standing to
                                         sitting (1) and lying (2), of people who may sit down; absent: they stand and walk
-``agent_<i>.motion_hands`` float32 [T,4,4] where the hands are led and how far the trunk leans for it, of people who may
-                                        do chores (`h3data.bodies.people.gestures.lead_hands`); optional
+``agent_<i>.motion_hands`` float32 [T,4,4] targets of the hands and lean of the trunk, of people who may do chores
+                                        (`h3data.bodies.people.gestures.lead_hands`); optional
 ``agent_<i>.root_pose``   float32 [T,7] free-form humanoids only: pelvis in the world
 ``agent_<i>.joint_quat``  float32 [T,54,4] free-form humanoids only: local rotations without the pelvis, SMPL-X order
 ``agent_<i>.action``      float32 [T,A] low-level action that led to this row, named in ``Agent.action_names``
@@ -30,7 +30,7 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
                                         `h3data.scene.joint_names`; only where there are any
 ``metrics.<name>``        float32 or bool [T]  per-step scalars, e.g. ``dist_agents``, ``collision``
 ``metrics.collision_people`` bool [T,P] whether the first robot touches each person; with more than two agents
-``input.user_<u>.<name>`` any           what a program made of a person's input at a step; not state
+``input.user_<u>.<name>`` any           values that a program computed from a person's input at a step; not state
 ``sim.<name>``            any           further state that the simulator needs to continue from a step
 ``state_hash``            uint64 [T]    running hash of the state stream
 ====================== ================ ================================================================================

@@ -106,7 +106,7 @@ class Steps(ABC):
             )
 
     def _inputs_within(self, inputs: Sequence[InputEvent], start: int, stop: int) -> tuple[InputEvent, ...]:
-        """Inputs in (time of the row before, time of the last row]; at the ends of the episode also all beyond."""
+        """Return inputs in (time of the row before, time of the last row]; at an episode's ends also all beyond."""
         # the whole episode has them all, without reading a time
         if not inputs or (start, stop) == (0, len(self)):
             return tuple(inputs)
@@ -125,4 +125,4 @@ class Steps(ABC):
 
     @abstractmethod
     def _recording(self, start: int, stop: int) -> Recording:
-        """These rows with all records of the whole episode."""
+        """Return a recording of these rows with all records of the whole episode."""

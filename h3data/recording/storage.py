@@ -297,7 +297,7 @@ def _allowed(to: str, path: RemotePath) -> Iterator[None]:
     """Explain those errors of a store that a user can correct; all others pass.
 
     Raises:
-        InputError: the credentials do not allow that, there is no such bucket, or nobody answers.
+        InputError: the credentials do not allow that, there is no such bucket, or no server answers.
     """
     try:
         yield

@@ -39,7 +39,7 @@ class Camera:
     near: float = 0.0
     """Depth below which surfaces are cut away [m]; 0 shows everything in front of the camera's plane."""
     far: float = float("inf")
-    """Surfaces beyond this depth count as misses [m]."""
+    """Depth beyond which surfaces count as misses [m]."""
 
     def at(self, pose: ArrayLike) -> Camera:
         """Return a camera with the same lens at another pose [4, 4], camera to world."""

@@ -66,7 +66,7 @@ def _paint_ids(ids, palette, out):
 
 @lru_cache(maxsize=1)
 def _depth_palette() -> NDArray[np.uint8]:
-    """Viridis from far to near, followed by `MISS_COLOR`, shape [257, 3]."""
+    """Return the palette viridis from far to near, followed by `MISS_COLOR`, shape [257, 3]."""
     import cv2
 
     bgr = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)

@@ -1,8 +1,8 @@
-"""FFV1 (RFC 9043, version 3) for 16-bit images: lossless, in three quarters of the time of FFmpeg's encoder.
+"""FFV1 (RFC 9043, version 3) for 16-bit images: a lossless encoder that takes three quarters of the time of FFmpeg's.
 
-An image is cut into eight columns ("slices"), each with a range coder of its own; one vector of eight lanes runs all eight.
-What comes before is done for a few rows at a time, without branches where most pixels go: the difference of each pixel to
-its prediction, its context, and the binary decisions that state the difference.
+An image is cut into eight columns ("slices"), each with a range coder of its own; one vector of eight lanes runs all
+eight. The earlier stages run for a few rows at a time, without branches for most pixels: the difference of each pixel
+to its prediction, its context, and the binary decisions that encode the difference.
 """
 
 from __future__ import annotations
@@ -21,18 +21,20 @@ from h3data.kernels import kernel, kernel_part
 from h3data.kernels.vectors import INT, INT64, LANES, intrinsic
 
 _THRESHOLDS = 1, 4
-"""Differences between neighbours from which on a level is 1 and 2; a context has three levels."""
+"""Smallest differences between neighbours for the levels 1 and 2; a context consists of three levels."""
 _CONTEXTS = 64
-"""Places for contexts, of which there are (5**3 + 1) / 2."""
+"""Number of slots for contexts, at least (5**3 + 1) / 2."""
 _EXPONENT, _SIGN, _MANTISSA, _KINDS = 1, 11, 22, 32
-"""The adaptive probabilities of a context: 0 or not, ten for exponents, eleven for signs, ten for mantissas."""
+"""Indices of the adaptive probabilities of a context: one for zero, ten for exponents, eleven for signs, ten for
+mantissas."""
 _MARGIN_BYTES = 256
 _AT_ONCE = 32
 """Number of pixels that are predicted at once."""
 _NONE, _ONE, _TWO, _THREE, _FOUR, _BYTE, _FIFTEEN, _HALF, _LOW, _LOW_HALF, _ROW, _STATES = (
     np.uintp(k) for k in (0, 1, 2, 3, 4, 8, 15, 16, 0xFF, 0xFFFF, 2 * LANES, _KINDS * _CONTEXTS)
 )
-"""Numbers as addresses are computed with: numba takes the sum of a signed and an unsigned number for a float."""
+"""Constants as unsigned integers for address arithmetic, because numba converts the sum of a signed and an unsigned
+integer to float."""
 _REVERSED = bytes(int(f"{k:08b}"[::-1], 2) for k in range(256))
 
 
@@ -113,14 +115,17 @@ def _record(slices: int) -> bytes:
 
 
 def _with_checksum(data: bytes) -> bytes:
-    """``data`` with a CRC of 32 bits after it, highest bit first and from 0, in which zlib's is the mirror image."""
+    """Return ``data`` with a CRC of 32 bits after it, highest bit first and from 0; zlib's is its mirror image."""
     # zlib starts from all ones and inverts the result, which is undone
     mirrored = (zlib.crc32(data.translate(_REVERSED), 0xFFFFFFFF) ^ 0xFFFFFFFF).to_bytes(4, "little")
     return data + mirrored.translate(_REVERSED)
 
 
 class Ffv1Encoder:
-    """Encoder of uint16 images [H, W]. It has buffers of its own, so use one per thread."""
+    """FFV1 encoder of uint16 images [H, W].
+
+    It has internal buffers, so use one encoder per thread.
+    """
 
     def __init__(self, width: int, height: int) -> None:
         """Prepare the buffers and the ``record`` that decoders need."""
@@ -157,7 +162,7 @@ class Ffv1Encoder:
         self._sizes = np.empty(LANES, np.int64)
 
     def encoded(self, image: NDArray[np.uint16]) -> bytes:
-        """Return the frame of an image of the size that the encoder was made for."""
+        """Return the encoded frame of an image, which must have the encoder's size."""
         _encode(
             np.ascontiguousarray(image).view(np.int16),
             self._rows,
@@ -178,7 +183,7 @@ class Ffv1Encoder:
 
 @kernel(boundscheck=False)
 def _code_header(decisions, out):
-    """Codes the decisions [N, 8] of the first lane; returns the number of bytes."""
+    """Code the decisions [N, 8] of the first lane; return the number of bytes."""
     sizes, coders = np.zeros(LANES, np.int64), _coders()
     traces = np.empty((len(decisions) + LANES, LANES), np.uint32), np.zeros(len(decisions) + LANES, np.uint8)
     _code(decisions, len(decisions), coders, traces, out.reshape(1, -1), sizes)
@@ -356,7 +361,7 @@ def _coders():
 
 @kernel_part(boundscheck=False)
 def _code(decisions, number, coders, traces, out, sizes):
-    """Codes ``number`` decisions of each lane; appends bytes with carries to ``out`` [8, N], with the ``sizes`` so far."""
+    """Code ``number`` decisions of each lane, and append bytes with carries to ``out`` [8, N] after ``sizes``."""
     uppers, marks = traces
     marks[number : number + LANES] = 0
     run_coders(
@@ -395,7 +400,7 @@ def _finish(coders, lane, out, size):
 
 
 def _memory(bits: int) -> tuple[Any, Any]:
-    """Functions that read and write a number of ``bits`` at an address."""
+    """Return the functions that read and write a number of ``bits`` at an address."""
 
     def read(typing_context, at):
         def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
@@ -423,7 +428,7 @@ read_word, write_word = _memory(32)
 
 @intrinsic
 def copy(typing_context, source_at, target_at, size):
-    """Copy ``size`` bytes."""
+    """Copy ``size`` bytes from one address to another."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         source, target = (b.inttoptr(at, ir.IntType(8).as_pointer()) for at in arguments[:2])
@@ -436,7 +441,7 @@ def copy(typing_context, source_at, target_at, size):
 
 @intrinsic
 def read_long(typing_context, at):
-    """Return the 64 bits at an address."""
+    """Return the 64-bit integer at a memory address."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         value = b.load(b.inttoptr(arguments[0], INT64.as_pointer()))
@@ -448,7 +453,7 @@ def read_long(typing_context, at):
 
 @intrinsic
 def lowest_bit(typing_context, number):
-    """Return the place of the lowest bit of a number above 0."""
+    """Return the position of the lowest set bit of a number above 0."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         return b.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
@@ -458,7 +463,7 @@ def lowest_bit(typing_context, number):
 
 @intrinsic
 def decide(typing_context, bit, probability_at, next_at, decision_at):
-    """Write a decision, and the probability of the next one of its kind."""
+    """Write a binary decision and its probability, and update the probability for the next decision of its kind."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         bit, probability_at, next_at, decision_at = arguments
@@ -475,10 +480,10 @@ def decide(typing_context, bit, probability_at, next_at, decision_at):
 
 @intrinsic
 def predict_row(typing_context, above_at, here_at, differences_at, classes_at, width):
-    """Compute the differences to the predictions of the pixels of a row, up to 31 too many, and their classes.
+    """Compute the prediction errors of the pixels of a row and their classes; up to 31 pixels too many are computed.
 
     A class is the context and, in the upper byte, the number of decisions. The numbers at ``here_at`` and ``above_at``
-    begin with the left neighbour of the first pixel.
+    start with the left neighbour of the first pixel.
     """
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
@@ -538,11 +543,11 @@ def predict_row(typing_context, above_at, here_at, differences_at, classes_at, w
 
 @intrinsic
 def run_coders(typing_context, at, end, coders_at, uppers_at, marks_at):
-    """Code eight decisions at a time, one of each coder, from ``at`` to ``end``.
+    """Encode eight binary decisions at a time, one for each range coder, from address ``at`` to ``end``.
 
-    For each eight, the upper bits of the coders' lower ends follow one another at ``uppers_at``, eight words, and at
-    ``marks_at`` a byte with a bit for each coder whose range fell below 256: of these, the 9 upper bits are a byte to write
-    and its carry. A decision of probability 0 and bit 0 changes nothing.
+    For each eight decisions, the upper bits of the lower ends of the coders' ranges are written as eight words at
+    ``uppers_at``. A byte at ``marks_at`` has a bit for each coder whose range fell below 256; the 9 upper bits of its
+    word are a byte to write and its carry. A decision of probability 0 and bit 0 changes nothing.
     """
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:

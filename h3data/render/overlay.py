@@ -74,14 +74,14 @@ def draw_label(
 
 
 def _clip_to_front(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``point``, moved along the line to ``other`` until it is in front of the camera."""
+    """Return ``point``, moved along the line to ``other`` until it is in front of the camera."""
     if point[2] >= _NEAR_M:
         return point
     return point + (other - point) * ((_NEAR_M - point[2]) / (other[2] - point[2]))
 
 
 def _fixed(pixels: NDArray[np.float64]) -> NDArray[np.int32]:
-    """OpenCV's fixed-point coordinates, which count from the centre of the first pixel."""
+    """Return OpenCV's fixed-point coordinates, which count from the centre of the first pixel."""
     return np.rint((pixels - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
 
 

@@ -145,8 +145,8 @@ class Renderer:
     def set_blockers(self, blockers: Blockers | None, *, world: int = 0) -> None:
         """Set the capsules that cast soft shadows in ``rgb``, and the light on moving instances; None removes both.
 
-        `h3data_light.field.LightField.blockers` computes them from the poses of agents and objects. They are used until
-        they are set again.
+        `h3data_light.field.LightField.blockers` computes them from the poses of agents and objects. The capsules are
+        used until the next call.
         """
         if blockers is not None:
             # checked here, because the kernels that read them check no bounds

@@ -85,7 +85,7 @@ class RenderScene:
 
         cut_out = [_cut_out(mesh) for mesh in self.meshes]
         self.cut_out_faces = np.concatenate([np.zeros(0, np.bool_), *cut_out])
-        """True if each triangle may have holes (`cutouts`), for all meshes one after another, shape [F]."""
+        """True for each triangle that may have holes (`cutouts`), for all meshes in sequence, shape [F]."""
         parts = [build_clusters(mesh.vertices, mesh.faces, cut) for mesh, cut in zip(self.meshes, cut_out, strict=True)]
         self.geometry, self.packet_triangles = _join(parts, self.deformable)
         mesh_first = self.geometry.mesh_first

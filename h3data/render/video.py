@@ -1,4 +1,4 @@
-"""Videos: H.264 or AV1 for browsers, in MP4 with the index at the front; lossless FFV1 for depth."""
+"""Writer of videos: H.264 or AV1 for browsers, in MP4 with the index at the front, and lossless FFV1 for depth."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ _SETTINGS = {
     "ffv1": _Settings("ffv1", "gray16le", "matroska", {}),  # opens the file; the frames are those of `Ffv1Encoder`
 }
 _LUMA, _U, _V = (66, 129, 25, 4224), (-38, -74, 112, 131584), (112, -94, -18, 131584)
-"""Weights of red, green and blue, and a constant, in 1/256 for one pixel and in 1/1024 for the sum of four."""
+"""Weights of red, green and blue, and a constant, for converting RGB to YUV, in 1/256 for one pixel and in 1/1024 for
+the sum of four."""
 _AT_ONCE = 16
 """Number of pixels that are converted at once."""
 
@@ -139,7 +140,7 @@ class VideoWriter:
         self.write_planes(self.planes(image))
 
     def planes(self, image: NDArray[Any]) -> Any:
-        """Return a frame converted for `write_planes`; may run in any thread.
+        """Return a frame converted for `write_planes`; it may run in any thread.
 
         Frames of ``ffv1``, which do not depend on each other, are encoded here, so that several threads can do it.
         """
@@ -247,7 +248,7 @@ def _four(upper, lower, k):
 
 @intrinsic
 def yuv_block(typing_context, rgb_at, rgb_bytes, y_at, y_bytes, u_at, v_at):
-    """Convert two rows of 16 pixels, which are ``rgb_bytes`` and ``y_bytes`` apart."""
+    """Convert two rows of 16 RGB pixels to YUV; ``rgb_bytes`` and ``y_bytes`` are the distances between the rows."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         rgb_at, rgb_bytes, y_at, y_bytes, u_at, v_at = arguments

@@ -159,7 +159,7 @@ def _lens(spec: CameraFile, name: str) -> Camera:
 
 # --- pose relative to the world or the body ------------------------------------------------------------------------------
 def _poses(replay: Replay, spec: CameraFile) -> NDArray[np.float64]:
-    """Camera to the frame that it is given in, [1 or T, 4, 4]."""
+    """Return the camera to the frame that it is given in, [1 or T, 4, 4]."""
     if spec.pose is not None:
         try:
             pose = np.array(spec.pose, np.float64)
@@ -199,7 +199,7 @@ def _poses(replay: Replay, spec: CameraFile) -> NDArray[np.float64]:
 
 
 def _times(replay: Replay) -> NDArray[np.float64]:
-    """Seconds since the recording began, shape [T]."""
+    """Return the seconds since the recording began, shape [T]."""
     times = replay.recording.columns["time_ns"].astype(np.float64) * 1e-9
     return times - times[0] if len(times) else np.zeros(1)
 
@@ -229,7 +229,7 @@ def smooth_path(key_times: Array, points: Array, times: Array) -> NDArray[np.flo
 
 # --- frame that the camera moves with --------------------------------------------------------------------------------
 def _base(replay: Replay, spec: CameraFile) -> NDArray[np.float64] | None:
-    """World frames [T, 4, 4] that the camera moves with; None if it is given in the world."""
+    """Return the world frames [T, 4, 4] that the camera moves with; None if it is given in the world."""
     if spec.body and spec.follow:
         raise InputError("Give either body or follow, not both.", code="H3-REPLAY-005")
     if spec.body:

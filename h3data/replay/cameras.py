@@ -143,7 +143,7 @@ def carrier_of(replay: Replay, name: str) -> int | None:
 
 
 def _mounted(replay: Replay, name: str) -> CameraTrack | None:
-    """Return the camera that an agent carries (`carrier_of`); None: nobody does."""
+    """Return the camera that an agent carries (`carrier_of`); None if no agent carries it."""
     # names of videos are names of files, so that `agent/name` becomes `agent.name`
     index, camera_name = carrier_of(replay, name), name.rpartition("/")[2]
     if index is None:
@@ -215,7 +215,7 @@ def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTra
 
 
 def _ceiling_cut(replay: Replay, eye_y: float, *, lowest: float) -> float:
-    """Near plane of a camera at height ``eye_y`` that looks straight down and must see below the ceiling [m].
+    """Return near plane of a camera at height ``eye_y`` that looks straight down and must see below the ceiling [m].
 
     It cuts the scene `CUT_M` above the highest floor that an agent walks on, or above ``lowest`` without agents. It is
     0 if ceilings can be hidden by their layer, or if no static part of the scene is that high.
@@ -245,7 +245,7 @@ def orbit(replay: Replay) -> CameraTrack:
 
 
 def _extent(replay: Replay, margin_m: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Minimum and maximum corner of the home, or of everything that was recorded, with a margin around it [m]."""
+    """Return minimum and maximum corner of the home, or of all recorded things, with a margin [m]."""
     if replay.scene is not None and replay.scene.rooms:
         rectangles = np.concatenate([room.rectangles for room in replay.scene.rooms])
         top = float(replay.scene.bounds[1, 1])

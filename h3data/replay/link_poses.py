@@ -20,7 +20,7 @@ class LinkPoses:
     """World matrices of one agent's links along a recording, computed on demand by any thread."""
 
     def __init__(self, pose: Callable[[NDArray[np.integer]], NDArray[np.floating]], steps: int, links: int) -> None:
-        """``pose`` gives the matrices [t, L, 4, 4] at steps [t]."""
+        """Compute poses by the function ``pose``, which returns the matrices [t, L, 4, 4] at steps [t]."""
         self._pose, self._steps, self._links = pose, steps, links
         # threads render neighbouring steps, which lie in few blocks
         self._block = lru_cache(maxsize=BLOCKS_KEPT)(self._pose_block)

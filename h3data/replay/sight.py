@@ -80,12 +80,12 @@ class Sight:
         return panorama[side, v, u] > local[:, 2] - 0.1
 
     def _turned(self, offsets: Array) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """Image [N] of a panorama that offsets [N, 3] belong to, and the offsets in that camera's frame [N, 3]."""
+        """Return the image [N] of a panorama for offsets [N, 3], and the offsets in that camera's frame [N, 3]."""
         side = (offsets @ self._outward.T).argmax(1)
         return side, np.einsum("nji,nj->ni", self._turns[side], offsets)
 
     def _pixels(self, local: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Pixels [N, 2] of points [N, 3] in the frame of a panorama camera."""
+        """Return the pixels [N, 2] of points [N, 3] in the frame of a panorama camera."""
         return np.floor(np.nan_to_num(self._side.to_pixels(local))).astype(np.intp)
 
 

@@ -182,7 +182,7 @@ class Stage:
         ]
 
     def _joints_of_chunk(self, agent: int, chunk: int) -> Array:
-        """Joint matrices [t, 55, 4, 4] of up to `JOINT_STEPS` steps."""
+        """Return the joint matrices [t, 55, 4, 4] of up to `JOINT_STEPS` steps."""
         first = chunk * JOINT_STEPS
         return self.replay.joint_matrices(agent, np.arange(first, min(first + JOINT_STEPS, len(self.replay))))
 
@@ -245,7 +245,7 @@ class Stage:
     def _pose(
         self, renderer: Renderer, step: int, outputs: Sequence[Output], *, world: int = 0
     ) -> list[tuple[_Person, Array]]:
-        """Poses all but the people in a world, and returns the people with their joint matrices [1, 55, 4, 4].
+        """Pose all but the people in a world, and return the people with their joint matrices [1, 55, 4, 4].
 
         Shapes that keep light away are posed only if light is seen in ``outputs``.
         """
@@ -342,7 +342,7 @@ class Stage:
         threads: int,
         then: Callable[[int, Images], Any] | None,
     ) -> Iterator[tuple[int, Any]]:
-        """`frames` by a GPU, which draws the next steps while ``then`` works on the last ones."""
+        """Yield `frames` from a GPU, which draws the next steps while ``then`` works on the last ones."""
         renderer = self.renderer("auto", worlds=min(WORLDS, max(len(steps), 1)))
         before: list[tuple[int, Future[Any]]] = []
         # while one batch is drawn, `then` works on the one before; without `then`, the images go to somebody who may keep them

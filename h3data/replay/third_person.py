@@ -179,7 +179,7 @@ def _scene(replay: Replay, leader: int | None) -> _Scene:
 def _follow(
     scene: _Scene, steps: NDArray[np.intp], wanted: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Camera poses [N, 4, 4] and near planes [N] [m] at the ``wanted`` rows [N] of ``steps``, which form one run.
+    """Return camera poses [N, 4, 4] and near planes [N] [m] at ``wanted`` rows [N] of ``steps``, which form one run.
 
     The direction depends on all steps, the distance only on those within `FRAMING.smooth_s`.
     """
@@ -265,7 +265,7 @@ def _first_body(start: Array, directions: Array, length: Array, bodies: Array) -
 
 
 def _direction(azimuth: Array, elevation: Array) -> Array:
-    """Unit vectors [..., 3]; azimuth is a heading."""
+    """Return the unit vectors [..., 3]; azimuth is a heading."""
     flat = heading_direction(azimuth) * np.cos(elevation)[..., None]
     return np.stack([flat[..., 0], np.sin(elevation), flat[..., 1]], axis=-1)
 
@@ -276,18 +276,18 @@ def _angle(start: Array, end: Array) -> NDArray[np.float64]:
 
 
 def _lost(angle: Array) -> Array:
-    """0 where both agents fit into the picture, 1 where they do not, by the angle between them [rad]."""
+    """Return 0 where both agents fit into the picture, 1 where they do not, by the angle between them [rad]."""
     return np.clip((angle - FRAMING.together_rad) / (FRAMING.apart_rad - FRAMING.together_rad), 0.0, 1.0)
 
 
 def _far(pivot: Array, watched: Array) -> Array:
-    """0 where the agents [..., 3] are near each other, 1 where they have nothing to do with each other."""
+    """Return 0 where the agents [..., 3] are near each other, 1 where they have nothing to do with each other."""
     gap = np.linalg.norm((watched - pivot)[..., [0, 2]], axis=-1)
     return np.clip((gap - FRAMING.together_m) / (FRAMING.apart_m - FRAMING.together_m), 0.0, 1.0)
 
 
 def _towards(start: Array, end: Array, angle: Array) -> Array:
-    """Unit directions ``start`` [T, 3], turned towards ``end`` by an angle [T] [rad]."""
+    """Return the unit directions ``start`` [T, 3], turned towards ``end`` by an angle [T] [rad]."""
     side = normalized(end - np.einsum("ti,ti->t", start, end)[:, None] * start)
     return start * np.cos(angle)[:, None] + side * np.sin(angle)[:, None]
 

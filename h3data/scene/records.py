@@ -279,8 +279,8 @@ class Scene:
     lights: tuple[LightSource, ...] | None = None
     """Light sources; None if unknown, empty if there are no lamps (Habitat then shows flat colours)."""
     source: Mapping[str, Any] = field(default_factory=dict)
-    """Source from which the scene can be generated or read again, such as ``{"kind": "home", "preset": "small", "seed":
-    7}``, or Habitat's files."""
+    """Source from which the scene can be generated or read again, such as
+    ``{"kind": "home", "preset": "small", "seed": 7}``, or Habitat's files."""
     articulations: tuple[Articulation, ...] = ()
     """Objects with doors or drawers; `h3data.scene.articulation` poses them."""
 
@@ -317,7 +317,7 @@ class Scene:
         return np.stack([np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)])
 
     def receptacles(self) -> Iterator[tuple[Instance, Receptacle]]:
-        """Return every usable receptacle of every static instance; Habitat names them ``instance|receptacle``."""
+        """Yield every usable receptacle of every static instance; Habitat names them ``instance|receptacle``."""
         for instance in self.static_instances:
             for receptacle in self.assets[instance.asset].receptacles:
                 if instance.receptacles is None or receptacle.name in instance.receptacles:

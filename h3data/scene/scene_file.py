@@ -63,7 +63,7 @@ _LINEAR, _MIPMAPS = 9729, 9987
 
 @cache
 def _linear_of_srgb() -> NDArray[np.uint16]:
-    """16-bit linear light of each 8-bit sRGB value, shape [256]."""
+    """Return 16-bit linear light of each 8-bit sRGB value, shape [256]."""
     return np.round(bytes_to_linear(np.arange(256)) * 65535).astype(np.uint16)
 
 
@@ -96,7 +96,7 @@ class _Textures:
         return self._place[id(texture)]
 
     def records(self) -> dict[str, Any]:
-        """Top-level entries of the glTF document."""
+        """Return the top-level entries of the glTF document."""
         if not self.images:
             return {"materials": self.materials}
         return {
@@ -108,7 +108,7 @@ class _Textures:
 
 
 def _add_mesh(chunk: GlbChunk, asset: Asset, textures: _Textures) -> dict[str, Any] | None:
-    """Accessors and textures of a mesh; None if it has no triangles and no vertices."""
+    """Return the accessors and textures of a mesh; None if it has no triangles and no vertices."""
     mesh = asset.mesh
     if not len(mesh.vertices):
         return None

@@ -81,7 +81,7 @@ def seats_of(scene: Scene) -> list[Seat]:
 
 
 def _places(asset: Asset, scale: Array) -> Iterator[tuple[Array, float, float, tuple[float, float]]]:
-    """Front edges [3] in the asset's frame, turns of who sits there from the front [rad], depths [m], and `Seat.ends`."""
+    """Yield front edges [3] in the asset's frame, turns from the front [rad], depths [m], and `Seat.ends`."""
     # upright boxes and cylinders only: a hull has no flat top that could be found by its bounds
     boxes = np.array([box for shape in asset.shapes if (box := _box(shape, scale)) is not None]).reshape(-1, 2, 3)
     size = boxes[:, 1] - boxes[:, 0]

@@ -116,9 +116,9 @@ class SceneReader:
     object_mesh: Callable[[str, Path, Sequence[Path]], Mesh] | None = None
     """Function that returns the mesh of an object template, as `object_mesh`."""
     write_collection: Callable[..., Path] | None = None
-    """Function that writes scenes as a new collection. It is called as ``(scenes, folder, *, name=None,
-    split_building=False, force=False)`` and returns the collection's file in the new ``folder``. ``split_building``
-    stores walls and floors as separate objects."""
+    """Function that writes scenes as a new collection. It is called as
+    ``(scenes, folder, *, name=None, split_building=False, force=False)`` and returns the collection's file in the new
+    ``folder``. ``split_building`` stores walls and floors as separate objects."""
     write_scene: Callable[[Scene, Path], Sequence[Path]] | None = None
     """Function that writes one scene as a file of this format and returns the files, the scene file first."""
     with_objects: (

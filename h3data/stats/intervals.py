@@ -72,7 +72,10 @@ def bootstrap_intervals(
 
 
 def _resampled_means(columns: Sequence[NDArray[np.float64]], resamples: int, seed: int) -> NDArray[np.float64]:
-    """Means of random samples with replacement of columns of one length, the same rows of each, shape [columns, resamples]."""
+    """Return the means of random samples with replacement of columns of one length, shape [columns, resamples].
+
+    All columns use the same rows in each sample.
+    """
     count = len(columns[0])
     random = np.random.default_rng(seed)
     means = np.empty((len(columns), resamples))

@@ -164,7 +164,7 @@ class _Processes:
         self.tries: dict[Run, int] = {}
 
     def left_s(self) -> float:
-        """Seconds that this call has left."""
+        """Return the seconds that this call has left."""
         return float("inf") if self.ends_s is None else self.ends_s - time.monotonic()
 
     def start(self, command: Sequence[str], log: Path, gpu: int) -> subprocess.Popen[bytes]:

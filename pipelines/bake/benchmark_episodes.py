@@ -1,4 +1,4 @@
-"""Write a benchmark's episodes: ``python -m bake.benchmark_episodes datasets/benchmarks/NAME@VERSION``.
+"""Script for the episodes of a benchmark: ``python -m bake.benchmark_episodes datasets/benchmarks/NAME@VERSION``.
 
 Use it only for a new version, because the list of a published version never changes.
 """

@@ -1,4 +1,4 @@
-"""Write a set of homes: `datasets/h3-homes` or, with ``--set``, `datasets/h3-homes-v2` or `datasets/h3-homes-large`.
+"""Script for sets of homes: `datasets/h3-homes` or, with ``--set``, `h3-homes-v2` or `h3-homes-large`.
 
 ``python -m bake.home_sets --choose`` picks the homes of the three splits and writes them down; without ``--choose``
 only the tables of the card are measured again. ``--split`` picks those of one split.
@@ -143,7 +143,7 @@ def chosen(split: Split) -> SceneSet:
 
 
 def _eased(spec: HomeSpec, failures: int) -> HomeSpec:
-    """The wish with the next seed and, after every second failure, one bathroom less."""
+    """Return the wish with the next seed, and with one bathroom less after every second failure."""
     bathrooms = max(1, (spec.bathrooms or 1) - failures // 2)
     return replace(spec, seed=spec.seed + failures, bathrooms=bathrooms)
 
@@ -160,7 +160,7 @@ def _set_of(split: Split, scenes: tuple[SceneEntry, ...]) -> SceneSet:
 
 
 def _fault(entry: SceneEntry, split: Split) -> str:
-    """Why the home cannot be taken; empty: it can."""
+    """Return the reason why a home cannot be used; empty if it can."""
     try:
         problems = validate_scene(NamedScene(name=entry.id, source=entry.source))["problems"]
         if problems:

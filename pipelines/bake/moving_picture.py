@@ -1,4 +1,4 @@
-"""Makes ``docs/pictures/demo.webp``, the moving picture of the front page, from the recording of the demo.
+"""Script that makes ``docs/pictures/demo.webp``, the moving picture of the front page, from the demo's recording.
 
 ``python -m pipelines.bake.moving_picture [out/demo/episode.mcap [FIRST_STEP]]``
 """

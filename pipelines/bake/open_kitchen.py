@@ -1,4 +1,4 @@
-"""docs/pictures/articulated.jpg: two kitchens of the generator, closed and with everything open.
+"""Script for docs/pictures/articulated.jpg: two kitchens of the generator, closed and with everything open.
 
 python -m bake.open_kitchen docs/pictures/articulated.jpg
 """
@@ -49,7 +49,7 @@ def view_of(scene: Scene) -> Camera:
 
 
 def main(path: str) -> None:
-    """Render the kitchens and writes the picture."""
+    """Render the kitchens and write the picture."""
     rows = []
     for seed in SEEDS:
         scene = build_home(HomeSpec(seed=seed, articulated=True))

@@ -256,7 +256,7 @@ class ChoreRoutine(Routine):
         return (np.asarray(place[:2], np.float64), errand), ("", "")
 
     def _do(self, place: Array, k: int, plan: Chore, here: Array, seconds: float) -> Motion:
-        """Yield the motion of somebody who steps to a place [3] and does the chore of stop ``k`` there."""
+        """Yield the motion of a person who steps to a place [3] and does the chore of stop ``k`` there."""
         yield from steps_between(here, place)
         for _ in range(round(SETTLE_S / STEP_S)):
             yield place, 0.0
@@ -280,7 +280,7 @@ class ChoreRoutine(Routine):
                 del work.held[number]
 
     def _look_at_phone(self, place: Array, number: int, here: Array, seconds: float) -> Motion:
-        """Yield the motion of somebody who looks at a phone while they turn to a place [3] and stand there."""
+        """Yield the motion of a person who looks at a phone while they turn to a place [3] and stand there."""
         body, work = self._body, self._work
         quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
         # the gesture, which replays add by the name of the activity, lowers the head; the palm is led to where it is then
@@ -298,7 +298,7 @@ class ChoreRoutine(Routine):
         del work.held[number]
 
     def _knock(self, place: Array, gap: float, here: Array, seconds: float) -> Motion:
-        """Yield the motion of somebody who knocks at what is ``gap`` [m] ahead of a place [3]."""
+        """Yield the motion of a person who knocks at a surface ``gap`` [m] ahead of a place [3]."""
         yield from steps_between(here, place)
         work, right = self._work, reacher(self._body, "right")
         door = np.array([gap, 0.95 * right.body.scale, 0.12])
@@ -424,7 +424,7 @@ def chore_at(
 def breakfast(episode: Any, number: int) -> ChoreRoutine:
     """Return the breakfast routine of an agent, sampled by the seed.
 
-    They take things, lay the table, eat, and look at a phone.
+    People take things, lay the table, eat, and look at a phone.
 
     Raises:
         SceneError: The home has no things for any of it.

@@ -27,7 +27,7 @@ class Frame(NamedTuple):
     origin: Array
     """Origin of the frame in the world (x, z) [2] [m]."""
     heading: float
-    """Direction of the axis [rad]."""
+    """Direction of the axis ``along`` in the world [rad]."""
 
     def to_world(self, points: Array) -> Array:
         """Return points (along, right) [..., 2] [m] as world points (x, z) [..., 2] [m]."""

@@ -289,7 +289,7 @@ def _gesture(moment: Any) -> Any:
 
 
 def _offset(xz: Array, heading: Any, other: Array) -> Array:
-    """Return the place of another (along, right) [2] [m] as seen from somebody."""
+    """Return the place of another person (along, right) [2] [m] in a person's frame."""
     return np.asarray(axes_of(np.asarray(heading)) @ (other - xz))
 
 

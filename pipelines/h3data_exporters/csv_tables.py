@@ -110,7 +110,7 @@ def _steps(recording: Recording, time_s: np.ndarray) -> tuple[list[str], Iterabl
 
 
 def _labels(name: str, width: int, scalar: bool, agents: Sequence[Agent]) -> list[str]:
-    """CSV names of the numbers in a row of a column."""
+    """Return the names of the numbers in a row of a column, for CSV."""
     if scalar:
         return [name]
     owner, _, kind = name.partition(".")
@@ -140,7 +140,7 @@ def _poses(recording: Recording, time_s: np.ndarray) -> Iterable[list[str]]:
 
 
 def _texts(values: np.ndarray) -> list[str]:
-    """Return the shortest text of each number that gives it back; truth as 0 and 1; nothing for NaN."""
+    """Return the shortest exact text of each number; booleans become 0 and 1, and NaN an empty text."""
     # spreadsheets compute with 0 and 1
     if values.dtype.kind == "b":
         return ["1" if v else "0" for v in values]
@@ -152,7 +152,7 @@ def _texts(values: np.ndarray) -> list[str]:
 
 
 def _harmless(rows: Iterable[Sequence[Any]]) -> Iterable[list[Any]]:
-    """Return rows with names and words of whoever made the recording: no spreadsheet runs them."""
+    """Return rows in which names and words from the recording cannot be run as formulas by a spreadsheet."""
     return ([spreadsheet_cell(cell) for cell in row] for row in rows)
 
 

@@ -22,9 +22,9 @@ from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.srgb import bytes_to_linear
 
 _PIXELS = {"magFilter": 9728, "minFilter": 9728, "wrapS": 33071, "wrapT": 33071}
-"""Sampler: nearest, clamped."""
+"""Texture sampler: nearest, clamped."""
 _SMOOTH = {"magFilter": 9729, "minFilter": 9987}
-"""Sampler: linear with mipmaps, repeated."""
+"""Texture sampler: linear with mipmaps, repeated."""
 _BLOCK_PX = 4
 """Side of the square of one colour in the palette: viewers that make mipmaps get two levels without bleeding."""
 
@@ -155,7 +155,7 @@ class _Materials:
             self.materials.append({"name": "palette", "pbrMetallicRoughness": matte(image)})
 
     def palette_uv(self, colors: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Texture coordinates [V, 2] of colours in the palette, which is material 0."""
+        """Return the texture coordinates [V, 2] of colours in the palette, which is material 0."""
         index = np.searchsorted(_codes(self._palette), _codes(colors))  # np.unique sorts rows as the codes do
         return (np.stack([index % self._side + 0.5, index // self._side + 0.5], -1) / self._side).astype(np.float32)
 
@@ -207,7 +207,7 @@ def _primitives(
 
 
 def _looks(mesh: Mesh) -> Iterator[tuple[int, NDArray[np.uint8], NDArray[np.int32]]]:
-    """Texture (-1: none), sRGB colour and triangles of each look of a mesh; at most `MAX_LOOKS` looks have a texture."""
+    """Yield texture (-1: none), sRGB colour and triangles of each look of a mesh; `MAX_LOOKS` limits the textures."""
     kinds = face_texture_indices(mesh).astype(np.int64)
     colors = np.where(kinds[:, None] < 0, 0, mesh.colors[mesh.faces[:, 0]])
     # colours are made coarser by powers of two until there are few enough

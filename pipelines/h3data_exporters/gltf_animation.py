@@ -152,7 +152,7 @@ class _Writer:
 
     # --- things -------------------------------------------------------------------------------------------------------
     def add_part(self, part: PosedPart, group: int | None) -> None:
-        """A node for a part and what moves it."""
+        """Add a node for a part and for what moves it."""
         if part.skeleton is not None:
             self._add_skinned(part, group)
             return
@@ -166,7 +166,7 @@ class _Writer:
         self._hide(len(self.nodes) - 1, there, part.scale)
 
     def _add_skinned(self, part: PosedPart, group: int | None) -> None:
-        """The mesh at the top, as skinned meshes should be: its joints alone place it."""
+        """Add the mesh at the top of the file, as skinned meshes should be, because its joints alone place it."""
         skeleton = part.skeleton
         assert skeleton is not None
         poses, there = _held(skeleton.poses)
@@ -189,7 +189,7 @@ class _Writer:
         self.skins.append({"name": part.name, **skin_record(self.chunk, skeleton, first=first)})
 
     def add_camera(self, camera: PosedCamera) -> None:
-        """A camera and the node that carries it."""
+        """Add a camera and the node that carries it."""
         # glTF asks for a near plane, which cameras of recordings may have at 0
         lens = {"yfov": camera.vfov_rad, "aspectRatio": camera.aspect, "znear": max(camera.near_m, 0.01)}
         self.cameras.append({"name": camera.name, "type": "perspective", "perspective": lens})

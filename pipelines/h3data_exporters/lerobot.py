@@ -124,7 +124,7 @@ def export_lerobot(recordings: Iterable[Recording], request: ExportRequest) -> E
 
 @contextmanager
 def _appearing_whole(root: AnyPath) -> Iterator[AnyPath]:
-    """A folder to write a dataset into that gets the name ``root`` at the end of the block and is deleted on an exception.
+    """Yield a folder for a dataset that gets the name ``root`` at the end of the block and is deleted on an exception.
 
     In an object store, which cannot rename, it is ``root`` itself.
     """
@@ -213,7 +213,7 @@ class _Summary:
 
 
 def _cameras_of(recording: Recording, features: Sequence[VideoFeature]) -> tuple[DemonstratedCamera, ...]:
-    """Lens and carrier of the cameras of some videos."""
+    """Return the lens and carrier of the cameras of some videos."""
     if not features:
         return ()
     from h3data.replay import Replay

@@ -110,7 +110,7 @@ def missing_note(missing: Sequence[str], consequence: str) -> str:
 
 
 def _poses(matrices: Array) -> Array:
-    """pose7 [T, ..., 7] of rigid matrices, sign-continuous; NaN where they are."""
+    """Return pose7 [T, ..., 7] of rigid matrices, sign-continuous; NaN where they are."""
     poses = pose_from_matrix(np.asarray(matrices, np.float64))
     poses[..., 3:] = quat_sign_continuous(poses[..., 3:])
     return poses
@@ -170,7 +170,7 @@ def _skeleton_of_rig(
 
 
 def _influences_of_operator(skin: SkinnedMesh) -> Influences:
-    """Joints and weights [V, 4] out of the skinning operator: its every fourth column holds the bare weights."""
+    """Return joints and weights [V, 4] from the skinning operator, whose every fourth column holds the bare weights."""
     weights = skin.points.toarray()[:, 3::4]
     # glTF has four joints for each vertex; the rest of the weight is spread over them
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :4]

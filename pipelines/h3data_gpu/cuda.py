@@ -189,7 +189,7 @@ def _driver() -> Any:
 
 @functools.cache
 def _nvrtc() -> Any:
-    """NVRTC of torch's CUDA version, from torch itself, from NVIDIA's packages, or from the system."""
+    """Return the NVRTC of torch's CUDA version, from torch itself, from NVIDIA's packages, or from the system."""
     import torch
 
     major = (torch.version.cuda or "").split(".")[0]

@@ -187,7 +187,7 @@ def _check(stage: GpuScene, number: int) -> None:
 def _scene_items(
     pool: Pool, stage: GpuScene, deformed: Deformables, number: int, bits: Mapping[str, int], first_texture: int
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Items [N] and places [N] of a scene: static instances first, layer by layer, then moving ones."""
+    """Return the items [N] and places [N] of a scene: static instances first, layer by layer, then moving ones."""
     scene, slots = stage.scene, stage.slots
     items: list[NDArray[Any]] = []
     places: list[NDArray[Any]] = []
@@ -221,7 +221,7 @@ def _scene_items(
 
 
 def _baked(scene: RenderScene, instances: Sequence[int], first_texture: int) -> dict[str, NDArray[Any]]:
-    """Several instances as one mesh in world coordinates."""
+    """Return several instances as one mesh in world coordinates."""
     parts: list[dict[str, NDArray[Any]]] = []
     start = 0
     matrices = scene.instance_matrix[list(instances)]

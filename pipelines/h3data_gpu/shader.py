@@ -108,7 +108,7 @@ class Shader:
         program.launch("shade", -(-pixels // _THREADS), _THREADS, shade)
 
     def _occlude(self, program: Any, world: World, depth: torch.Tensor, *, factor: int) -> tuple[torch.Tensor, ...]:
-        """Surfaces [worlds, h, w, 4] and amounts [worlds, h, w] of the coarse image (see `occlusion.cu`), and scratch."""
+        """Return surfaces [worlds, h, w, 4] and amounts [worlds, h, w] of the coarse image, and scratch."""
         import torch
 
         count, height, width = depth.shape

@@ -28,7 +28,7 @@ def read_json(path: Path) -> Any:
 
 
 def not_json(path: Path, data: bytes, fault: Exception, *, start: int = 0) -> FormatError:
-    """Return the error for bytes that are not a JSON document; which start at byte ``start`` of the file."""
+    """Return the error for bytes, from byte ``start`` of a file on, that are not a JSON document."""
     text = str(fault)
     if not data.strip():
         return FormatError(f"Expected JSON, the file is empty: {path}", code="H3-FORMAT-010")

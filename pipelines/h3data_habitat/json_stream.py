@@ -85,7 +85,7 @@ class ArrayElements:
         return begins, bare
 
     def _ends(self, chunk: bytes) -> tuple[NDArray[np.intp], int | None]:
-        """End (exclusive) of the elements that end in the chunk, and the place of the array's closing bracket if there."""
+        """Return the end (exclusive) of the elements that end in the chunk, and of the array if it ends there."""
         # the character after a backslash at the end of the last chunk is escaped
         text = b" " + chunk[1:] if self._escaped else chunk
         if (

@@ -180,7 +180,7 @@ def _model(name: str, asset: Asset, scale: NDArray[np.float64], semantic_id: int
 
 
 def _kind_name(name: str) -> str:
-    """``003_cracker_box`` is a ``cracker_box``."""
+    """Return the name of a kind, such as ``cracker_box`` for ``003_cracker_box``."""
     return _NUMBER.sub("", name) or name
 
 
@@ -197,7 +197,7 @@ def _volume_m3(asset: Asset, scale: NDArray[np.float64]) -> float:
 
 
 def _mass_of_kinbody(file: Path, volume_m3: float) -> float | None:
-    """Mass [kg] that OpenRAVE's ``<Mass>`` gives, in total or by density [kg/m3]; None if it gives none."""
+    """Return the mass [kg] that OpenRAVE's ``<Mass>`` gives, in total or by density [kg/m3]; None if it gives none."""
     data = file.read_bytes()
     # nested entities grow to gigabytes while they are read
     if len(data) > _MOST_XML or re.search(rb"<!(DOCTYPE|ENTITY)", data, re.IGNORECASE):
@@ -226,9 +226,9 @@ def _mass_of_kinbody(file: Path, volume_m3: float) -> float | None:
 def with_object_models(scene: Scene, models: Mapping[str, ObjectModel], *, seed: int = 0) -> tuple[Scene, int]:
     """Return the scene with models in place of its movable things, and the number of replaced things.
 
-    A model stands where the thing stood, and turned as it was. One that is larger than the thing by more than `GROWTH_M`, or
-    would touch what is around it, is not chosen; a thing for which there is none stays. ``scene.source["objects"]`` has mass
-    and grasp of each model that is used, by asset.
+    A model has the position and rotation of the thing that it replaces. Models that are larger than the thing by more
+    than `GROWTH_M`, or would touch objects around it, are not used; a thing without a suitable model is not replaced.
+    ``scene.source["objects"]`` has mass and grasp of each model that is used, by asset.
     """
     rng = np.random.default_rng(seed)
     names = sorted(models)
@@ -280,7 +280,7 @@ def _in_place_of(thing: Instance, box: NDArray[np.float64], model: ObjectModel, 
 
 
 def _world_box(asset: Asset, instance: Instance) -> NDArray[np.float64]:
-    """Axis-aligned box around an instance in the world, shape [2, 3] [m]."""
+    """Return the axis-aligned box around an instance in the world, shape [2, 3] [m]."""
     if not len(asset.mesh.vertices):
         return np.tile(instance.pose[:3], (2, 1))
     matrix = instance_matrix(instance)

@@ -125,7 +125,7 @@ def _recognised(recording: Recording, index: int) -> Mapping[str, Any]:
 
 
 def _poses_of(recording: Recording, body: Body) -> NDArray[np.float64]:
-    """pose7 of a body at every step, shape [T, 7]; NaN where it was absent."""
+    """Return pose7 of a body at every step, shape [T, 7]; NaN where it was absent."""
     if body.moving >= 0:
         return recording.columns["object_pose"][:, body.moving].astype(np.float64)
     return np.broadcast_to(body.pose.astype(np.float64), (len(recording), 7))

@@ -113,7 +113,7 @@ def build_home(spec: HomeSpec) -> Scene:
 
     World frame, +Y up, floor at y = 0, footprint from (0, 0) to (width, depth) in (x, z); an upper storey lies beside
     it. The ceiling and its lamps are in the layer ``ceiling``. The same spec gives the same bytes. A disc of 0.30 m
-    radius can reach every room and every receptacle; plans that fail this are sampled anew, up to 12 times.
+    radius can reach every room and every receptacle; plans that fail this are replaced by new samples, up to 12 times.
 
     Raises:
         SceneError: no attempt succeeded.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _HAND_M = 1.1
 """Greatest distance from the centre of a receptacle to walkable floor [m]."""
 _HANGS_M = 1.2
-"""Furniture whose lowest shape is higher is not walked up to [m]."""
+"""Height of the lowest shape of furniture above which agents need not be able to walk up to it [m]."""
 _REACH_SLACK = 0.01
 """Error of the polygons that stand for circles [m]."""
 
@@ -62,7 +62,10 @@ def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]
 
 
 def faults(scene: Scene) -> list[str]:
-    """Return a description of each room or piece of furniture out of reach of a walker, and of each ambiguous gap."""
+    """Return descriptions of rooms and furniture that cannot be reached, and of gaps of ambiguous width.
+
+    Reachable means for a walker of radius `WALK_RADIUS`.
+    """
     import shapely
 
     floor = open_floor(scene)

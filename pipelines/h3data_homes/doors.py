@@ -113,7 +113,7 @@ def doors_open(scene: Scene) -> Scene:
 
 
 def _doors(scene: Scene) -> dict[str, Articulation]:
-    """Doors between rooms, by the names of their joints."""
+    """Return the doors between rooms, by the names of their joints."""
     return {f"{t.name}/{t.parts[0].name}": t for t in scene.articulations if t.parts[0].name == LEAF}
 
 
@@ -145,7 +145,7 @@ def _places(layout: Layout, doorway: Doorway, end: int) -> list[_Place]:
 
 
 def _by_room(places: Sequence[_Place]) -> list[_Place]:
-    """Private rooms first, then those where the leaf comes to stand along a wall."""
+    """Return private rooms first, then those where the leaf comes to stand along a wall."""
     return sorted(places, key=lambda p: (p.room.category not in PRIVATE, _to_corner(p) > ALONG_M))
 
 
@@ -165,7 +165,7 @@ def _along(place: _Place) -> int:
 
 
 def _axes(place: _Place) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Floor directions (x, z) of the leaf from its hinge, and into the room."""
+    """Return the floor directions (x, z) of the leaf from its hinge, and into the room."""
     heading = float(heading_from_quat(place.pose[3:]))
     cos, sin = np.round([np.cos(heading), np.sin(heading)])
     return place.side * np.array([cos, -sin]), np.array([sin, cos])

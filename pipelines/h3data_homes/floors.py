@@ -18,7 +18,7 @@ TILE_M = MATERIALS["tiles"].size_m[0] / TILES
 
 
 def _flat(rects: np.ndarray, y: float = 0.0) -> np.ndarray:
-    """Upward quads [Q, 4, 3] of plan rectangles [Q, 4]."""
+    """Return the upward quads [Q, 4, 3] of plan rectangles [Q, 4]."""
     x0, z0, x1, z1 = rects.T
     height = np.full_like(x0, y)
     ring = [(x0, z1), (x1, z1), (x1, z0), (x0, z0)]
@@ -45,7 +45,7 @@ def _planks(rect: Rect, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
 
 
 def _place(rects: np.ndarray, swap: bool = False) -> np.ndarray:
-    """Texture places [Q, 4, 2] of the corners that `_flat` returns, from rectangles on the material [Q, 4]."""
+    """Return texture places [Q, 4, 2] of the corners that `_flat` returns, from rectangles on the material [Q, 4]."""
     a0, b0, a1, b1 = rects.T
     ring = [(a1, b0), (a1, b1), (a0, b1), (a0, b0)] if swap else [(a0, b1), (a1, b1), (a1, b0), (a0, b0)]
     return np.stack([np.stack(p, -1) for p in ring], 1)

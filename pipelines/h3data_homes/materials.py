@@ -69,7 +69,7 @@ class Material:
 
 
 def _noise(rng: np.random.Generator, across: int, down: int) -> Pattern:
-    """Smooth, periodic noise 0..1, interpolated between ``across`` x ``down`` random points (powers of two)."""
+    """Return smooth, periodic noise 0..1, interpolated between ``across`` x ``down`` random points (powers of two)."""
     values = rng.integers(0, 1 << 16, (down, across)) / (1 << 16)
     for axis, count in enumerate((down, across)):
         steps = _PX // count
@@ -83,7 +83,7 @@ def _noise(rng: np.random.Generator, across: int, down: int) -> Pattern:
 
 
 def _speckle(rng: np.random.Generator, share: float) -> Pattern:
-    """1 at a random ``share`` of the texels, 0 elsewhere."""
+    """Return 1 at a random ``share`` of the texels, 0 elsewhere."""
     return (rng.integers(0, 1 << 16, (_PX, _PX)) < share * (1 << 16)).astype(float)
 
 
@@ -98,7 +98,7 @@ def _wave(x: Pattern) -> Pattern:
 
 
 def _grain(rng: np.random.Generator) -> Pattern:
-    """Streaks along the width, with slightly wavy growth rings."""
+    """Return wood grain: streaks along the width, with slightly wavy growth rings."""
     rows, _ = _rows_columns()
     rings = _wave(rows * (6 / _PX) + 1.1 * _noise(rng, 2, 4))
     fine = 0.5 * _noise(rng, 4, 64) + 0.5 * _noise(rng, 8, 128)
@@ -107,7 +107,7 @@ def _grain(rng: np.random.Generator) -> Pattern:
 
 
 def _boards(rng: np.random.Generator) -> Pattern:
-    """Four floor boards, one above the other, each with its own grain and a joint around it."""
+    """Return four floor boards, one above the other, each with its own grain and a joint around it."""
     rows, columns = _rows_columns()
     tall = _PX // BOARDS
     grain = _grain(rng)
@@ -120,7 +120,7 @@ def _boards(rng: np.random.Generator) -> Pattern:
 
 
 def _tiles(rng: np.random.Generator) -> Pattern:
-    """Two by two glazed tiles with grout between them."""
+    """Return two by two glazed tiles with grout between them."""
     rows, columns = _rows_columns()
     tall = _PX // TILES
     y, x = rows % tall, columns % tall
@@ -130,7 +130,7 @@ def _tiles(rng: np.random.Generator) -> Pattern:
 
 
 def _weave(rng: np.random.Generator) -> Pattern:
-    """Plain weave: every thread passes over one and under the next; some threads are darker."""
+    """Return a plain weave: every thread passes over one and under the next; some threads are darker."""
     rows, columns = _rows_columns()
     over = (rows // 4 + columns // 4) % 2 == 0
     along = np.where(over, columns % 4, rows % 4)
@@ -141,7 +141,7 @@ def _weave(rng: np.random.Generator) -> Pattern:
 
 
 def _quilt(rng: np.random.Generator) -> Pattern:
-    """Stitched diamonds, padded between the seams."""
+    """Return a quilt: stitched diamonds, padded between the seams."""
     rows, columns = _rows_columns()
     a, b = _wave((rows + columns) / 64), _wave((rows - columns) / 64)
     seam = np.maximum(a, b)
@@ -157,7 +157,7 @@ def _rug(rng: np.random.Generator) -> Pattern:
 
 
 def _carpet(rng: np.random.Generator) -> Pattern:
-    """Tufts without a preferred direction."""
+    """Return a carpet: tufts without a preferred direction."""
     tufts = _noise(rng, 64, 64)
     return 1.4 * tufts * tufts + 0.6 * _noise(rng, 128, 128) + 0.5 * _noise(rng, 8, 8)
 
@@ -168,14 +168,14 @@ def _plaster(rng: np.random.Generator) -> Pattern:
 
 
 def _stone(rng: np.random.Generator) -> Pattern:
-    """Speckled stone of a worktop."""
+    """Return the speckled stone of a worktop."""
     cloud = 0.6 * _noise(rng, 8, 8) + 0.4 * _noise(rng, 32, 32)
     grains = _noise(rng, 64, 64)
     return 0.7 * cloud + 1.6 * (grains > 0.8) + 1.6 * _speckle(rng, 0.03)
 
 
 def _brick(rng: np.random.Generator) -> Pattern:
-    """Four bricks by eight courses, every other course offset by half a brick; the joints are lighter."""
+    """Return four bricks by eight courses, every other course offset by half a brick; the joints are lighter."""
     rows, columns = _rows_columns()
     course = rows // 16
     x = (columns + 16 * (course % 2)) % _PX
@@ -186,13 +186,13 @@ def _brick(rng: np.random.Generator) -> Pattern:
 
 
 def _render(rng: np.random.Generator) -> Pattern:
-    """Rough render (plaster) of an outer wall."""
+    """Return the rough render (plaster) of an outer wall."""
     grains = _noise(rng, 64, 64)
     return grains * grains + 0.5 * _noise(rng, 128, 128) + 0.6 * _noise(rng, 4, 4)
 
 
 def _concrete(rng: np.random.Generator) -> Pattern:
-    """Blotches and pores."""
+    """Return the blotches and pores of concrete."""
     cloud = 0.5 * _noise(rng, 4, 4) + 0.3 * _noise(rng, 16, 16) + 0.2 * _noise(rng, 64, 64)
     return 1.2 * cloud + 2.0 * _speckle(rng, 0.015)
 

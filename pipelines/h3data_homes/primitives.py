@@ -15,7 +15,7 @@ _CREASE_COS = float(np.cos(np.radians(50)))
 
 @cache
 def _box_template() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
-    """Signs and normals of the 24 corner vertices [24, 3], and 44 triangles: 12 for the sides, then 32 for the bevels."""
+    """Return signs and normals of 24 corner vertices [24, 3], and 44 triangles, of which 12 are the sides."""
     corners: list[tuple[int, int, int]] = [(x, y, z) for x, y, z in product((-1, 1), repeat=3)]
     index: dict[tuple[tuple[int, int, int], int], int] = {
         (c, a): 3 * i + a for i, c in enumerate(corners) for a in range(3)
@@ -48,7 +48,7 @@ def _box_template() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[n
 
 @cache
 def _grid_cube(n: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Grid indices [V, 3] (0..n) of the six sides of a cube and their triangles, counter-clockwise from outside."""
+    """Return grid indices [V, 3] (0..n) of the six sides of a cube and their triangles, counter-clockwise."""
     points, faces = [], []
     for a, end in product(range(3), (0, n)):
         b, c = (a + 1) % 3, (a + 2) % 3
@@ -79,7 +79,7 @@ class Solid(NamedTuple):
 
 
 def _side_places(vertices: NDArray[np.float64], side: NDArray[np.intp], order: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Box projection: texture places [V, 2] of vertices [V, 3] on the sides that face along the axes ``side`` [V].
+    """Return texture places [V, 2] of vertices [V, 3] on sides that face along the axes ``side`` [V].
 
     ``order`` [V, 3] or [3] lists the axes from long to short; the grain runs along the longest axis of a side.
     """
@@ -240,7 +240,7 @@ def quads(corners: ArrayLike, place: NDArray[np.float64] | None = None) -> Solid
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`numpy.cross` of [N, 3] without its overhead for small N."""
+    """Return `numpy.cross` of [N, 3] without its overhead for small N."""
     x, y, z = a.T
     u, v, w = b.T
     out = np.empty(a.shape)

@@ -69,7 +69,7 @@ def furnish_living(rng: np.random.Generator, style: Style, state: RoomState, din
 
 
 def _more_groups(rng: np.random.Generator, style: Style, state: RoomState, count: int) -> None:
-    """More seats in a large room: free-standing groups and reading corners."""
+    """Add more seats to a large room: free-standing groups and reading corners."""
     for _ in range(count):
         place_free(rng, state, talk_group(rng, style, int(rng.choice([0, 2]))))
     for _ in range(2):
@@ -194,7 +194,7 @@ def furnish_kitchen(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def _island(rng: np.random.Generator, style: Style, state: RoomState) -> None:
-    """A free-standing counter with up to three stools behind it, or none if they do not fit."""
+    """Add a free-standing counter with up to three stools behind it, or none if they do not fit."""
     block, seat = kitchen.island(rng, style), kitchen.stool(rng, style)
     for count in (3, 2, 0):
         z = -block.size[2] / 2 - 0.02
@@ -204,7 +204,7 @@ def _island(rng: np.random.Generator, style: Style, state: RoomState) -> None:
 
 
 def _upper_cabinets(rng: np.random.Generator, style: Style, state: RoomState, row: Sequence[Placed]) -> None:
-    """Cabinets above the counters and a hood above the stove, except in front of windows and doors."""
+    """Add cabinets above the counters and a hood above the stove, except in front of windows and doors."""
     cabinets: dict[float, Furniture] = {}
     for p in row:
         if p.piece.category not in ("kitchen_counter", "stove"):
@@ -255,7 +255,7 @@ def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def _bedroom_extras(rng: np.random.Generator, style: Style, state: RoomState) -> None:
-    """Daytime furniture of a large bedroom: another wardrobe, a TV, seats."""
+    """Add daytime furniture of a large bedroom: another wardrobe, a TV, seats."""
     place_single(rng, state, sleeping.wardrobe(rng, style), corner=True)
     stand, screen = living.tv_stand(rng, style), living.tv(rng, style)
     back = stand.wall_gap_m + stand.size[2] / 2
@@ -293,7 +293,7 @@ def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, d
 
 
 def _mirror(rng: np.random.Generator, style: Style, state: RoomState, basin: Placed, width: float) -> None:
-    """A mirror above a basin, narrower next to a door or window."""
+    """Add a mirror above a basin, narrower next to a door or window."""
     u = basin.x if basin.quarter % 2 == 0 else basin.z
     any(hang(state, bath.mirror(rng, style, w), basin.quarter, u, 1.52) for w in (width, 0.45, 0.35))
 
@@ -314,7 +314,7 @@ def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dinin
 
 
 def _runner(rng: np.random.Generator, style: Style, state: RoomState, least_m: float) -> None:
-    """A long, narrow carpet down the middle of a hall at least ``least_m`` wide."""
+    """Add a long, narrow carpet down the middle of a hall that is at least ``least_m`` wide."""
     x0, z0, x1, z1 = state.interior
     wide, long = sorted((x1 - x0, z1 - z0))
     if wide < least_m or long < 4:

@@ -215,7 +215,7 @@ _SIZE_M = np.array([m.size_m for m in MATERIALS.values()])
 
 
 def _cut(number: NDArray[np.intp] | int) -> NDArray[np.float64]:
-    """Offsets of numbered parts on their material, in repetitions, shape [..., 2]; part 0 has offset 0."""
+    """Return the offsets of numbered parts on their material, in repetitions, shape [..., 2]; part 0 has offset 0."""
     # Multiples of irrational numbers (golden ratio, plastic number) spread evenly without random numbers.
     return np.multiply.outer(number, (0.6180339887, 0.7548776662)) % 1
 
@@ -227,7 +227,10 @@ def _textured(
     kinds: NDArray[np.intp],
     bevels: NDArray[np.bool_],
 ) -> Mesh:
-    """The mesh with the textures of its materials. Bevels get none: they lie between two sides, so their uv is distorted."""
+    """Return the mesh with the textures of its materials.
+
+    Bevels get no texture, because they lie between two sides and their uv is distorted.
+    """
     used = np.unique(kinds[kinds >= 0])
     if not len(used):
         return mesh

@@ -85,7 +85,7 @@ furniture and the doors between rooms open and close."""
 _LATER: Mapping[str, Any] = MappingProxyType(
     {"articulated": False, "generation": 1, "style": None, "storeys": 1, "doors": False}
 )
-"""Fields of `HomeSpec` that came later, and what they are in the homes from before."""
+"""Fields of `HomeSpec` that were added later, and their values in earlier homes."""
 
 
 def min_area_m2(bedrooms: int, bathrooms: int) -> float:

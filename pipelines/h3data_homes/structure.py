@@ -42,7 +42,7 @@ def wall_thickness_span(layout: Layout, opening: Opening) -> tuple[float, float]
 
 
 def _inner_walls(layout: Layout) -> list[tuple[int, float, float, float]]:
-    """(axis, line, low, high) of inner walls and of walls facing notches, which are centred on their line as well.
+    """Return (axis, line, low, high) of inner walls and of walls facing notches, centred on their line as well.
 
     Neighbours on one line are merged; ends stop at walls that cross them.
     """
@@ -78,7 +78,7 @@ def wall_runs(layout: Layout) -> list[tuple[int, float, tuple[float, float], tup
 
 
 def _outer_walls(layout: Layout) -> list[tuple[int, float, tuple[float, float]]]:
-    """(axis, line, span) of the walls on the bounding box; those along x include its corners."""
+    """Return (axis, line, span) of the walls on the bounding box; those along x include its corners."""
     t, walls = WALL_THICKNESS, []
     for axis, line in ((0, 0.0), (0, layout.depth), (1, 0.0), (1, layout.width)):
         end = (layout.width, layout.depth)[axis]
@@ -121,7 +121,7 @@ _Piece = tuple[float, float, float, float]  # u0 y0 u1 y1 on a wall's face
 
 
 def _pieces(low: float, high: float, openings: Iterable[Opening]) -> list[_Piece]:
-    """Rectangles of a wall face between two ends, minus its openings."""
+    """Return the rectangles of a wall face between two ends, minus its openings."""
     out, at = [], low
     for o in sorted(openings, key=lambda o: o.span):
         out += [(at, 0.0, o.span[0], WALL_HEIGHT), (o.span[0], o.height[1], o.span[1], WALL_HEIGHT)]
@@ -185,7 +185,7 @@ def walls_asset(layout: Layout, style: Style) -> Asset:
 
 
 def _facade(mesh: MeshBuilder, layout: Layout, style: Style) -> None:
-    """The outdoor faces of the walls on the bounding box and around the notches."""
+    """Add the outdoor faces of the walls on the bounding box and around the notches."""
     t = WALL_THICKNESS
     outside = [o for o in layout.openings if len(o.rooms) == 1]
     for axis, line, span in _outer_walls(layout):
@@ -210,7 +210,7 @@ def _facade(mesh: MeshBuilder, layout: Layout, style: Style) -> None:
 
 
 def _reveal(mesh: MeshBuilder, layout: Layout, opening: Opening, color: Color) -> None:
-    """The faces of an opening through the thickness of the wall."""
+    """Add the faces of an opening through the thickness of the wall."""
     c0, c1 = wall_thickness_span(layout, opening)
     (u0, u1), (y0, y1) = opening.span, opening.height
     across = 1 - opening.axis

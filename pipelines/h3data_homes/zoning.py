@@ -19,7 +19,7 @@ CORRIDOR_WIDTH = (1.3, 1.42)
 NOTCH_SHARE = (0.15, 0.30)
 """Range of the share of the bounding box that an L- or T-shaped footprint omits."""
 _SQUARE_BELOW_M2 = 90.0
-"""Smaller homes are rectangles: they have too few rooms to go around a corner."""
+"""Area below which homes are rectangles, because they have too few rooms to go around a corner [m2]."""
 _SHAPES, _TRIALS, _WORST = 4, 100, 2.0
 """Footprint shapes tried, plans tried per shape, and the largest acceptable penalty."""
 
@@ -193,7 +193,7 @@ def _notches(ends: tuple[float, float], cut: float, depth: float) -> list[Rect]:
 def _spine_along(
     rng: np.random.Generator, width: float, depth: float, program: HomePreset, shape: str, share: float
 ) -> tuple[list[Tile], list[Rect]]:
-    """Public rooms on one side; a corridor leads away from them, with private rooms on both of its sides."""
+    """Return the public rooms on one side; a corridor leads away from them, with private rooms on both of its sides."""
     part = rng.uniform(0.40, 0.62)
     cut = width * part
     ends = _wing(rng, shape, part, depth, share)
@@ -219,7 +219,7 @@ def _spine_along(
 def _spine_across(
     rng: np.random.Generator, width: float, depth: float, program: HomePreset, shape: str, share: float
 ) -> tuple[list[Tile], list[Rect]]:
-    """Public rooms, a corridor alongside them, and one row of private rooms behind it."""
+    """Return the public rooms, a corridor alongside them, and one row of private rooms behind it."""
     part = rng.uniform(0.42, 0.56)
     cut = width * part
     ends = _wing(rng, shape, part, depth, share)

@@ -33,7 +33,7 @@ from h3data_homes.zoning import (
 LARGE_FROM_M2, LARGE_FROM_BEDROOMS = 215.0, 6
 _GALLERY, _BRANCH, _NARROW = (2.0, 2.5), (1.5, 1.7), (1.4, 1.6)
 _SERVICE_FROM_M2 = 420.0
-"""Above this area, kitchens have a pantry and a laundry, and galleries are wide."""
+"""Area above which kitchens have a pantry and a laundry, and galleries are wide [m2]."""
 _TRIALS, _WORST, _WORST_2, _GOOD_2 = 250, 3.0, 6.0, 2.0
 """Plans tried per footprint shape, and the largest acceptable penalty by generation: homes of the second have more
 rooms, and their search ends at a plan below the last number."""
@@ -263,7 +263,7 @@ def _cells_2(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
 def _grouped(
     rng: np.random.Generator, cells: Sequence[_Cell], depth: float, scale: float, wide: tuple[float, float]
 ) -> list[_Unit]:
-    """Cells large enough to span the depth of a row, and groups of the others.
+    """Return the cells large enough to span the depth of a row, and groups of the others.
 
     Groups have a width in the range ``wide`` [m] and lie around branch corridors.
     """

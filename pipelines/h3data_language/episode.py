@@ -295,7 +295,7 @@ class _Draw:
     def _starts(
         self, chosen: Mapping[str, str], spots: Mapping[str, Place], rooms: set[str]
     ) -> dict[str, tuple[Array, str]] | None:
-        """Spots of the things at the start: away from all goals, except for those that stay, and alone of their kind."""
+        """Return the starts of the things: away from all goals, except for those that stay, and alone of their kind."""
         asked = {name for place in spots.values() for name in place.names}
         began: dict[str, tuple[Array, str]] = {}
         fixed = {
@@ -330,7 +330,7 @@ class _Draw:
         spots: Mapping[str, Place],
         rooms: Mapping[str, str],
     ) -> dict[str, list[tuple[Array, str]]] | None:
-        """Goals of each thing, one after the other; none for those that stay."""
+        """Return the goals of each thing, one after the other; none for those that stay."""
         beside: dict[str, str] = {}
         asked: list[tuple[str, list[str], bool]] = []
         low = {s for c in self.template.clauses for _, v, lists in [clause_parts(c)] if v == "floor" for s in lists[0]}
@@ -424,7 +424,7 @@ class _Draw:
         return task if sound else None
 
     def _states(self, order: Sequence[str]) -> tuple[dict[str, list[bool]], list[list[Any]]]:
-        """States of the things at the start, and what a person who handles each does: a state and its value."""
+        """Return states of the things at the start, and what a person who handles each does: a state and its value."""
         states, uses = {name: [False] * len(order) for name in STATES}, [["", False] for _ in order]
         for clause in self.template.clauses:
             _, verb, lists = clause_parts(clause)

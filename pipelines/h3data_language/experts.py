@@ -61,7 +61,7 @@ class Plan:
         self.kinds = kinds
         self.handled: set[int] = set()
         self.brought: set[int] = set()
-        """Errands whose things have been put at their goals, where they are as long as nobody sees them elsewhere."""
+        """Errands whose things have been put at their goals, where they remain until an agent sees them elsewhere."""
         self.doing: dict[int, int] = {}
         """Errand of each agent."""
         self.begun: dict[int, int] = {}
@@ -194,7 +194,7 @@ class Plan:
 
 
 _SHARED: WeakKeyDictionary[Any, Plan] = WeakKeyDictionary()
-"""The plan of each episode that is played, which its experts share."""
+"""Plan of each episode that is being played, which its experts share."""
 
 
 class Expert:
@@ -206,9 +206,9 @@ class Expert:
         self.number, self.greedy = number, greedy
         self.episode, self.failures, self.moved, self.begun = episode, 0, 0, False
         self.stuck = 0
-        """Number of skills in a row that ended because a robot could not get on."""
+        """Number of consecutive skills that ended because the robot could not continue."""
         self.escape: list[str] = []
-        """Primitives by which it gets free, the next one first."""
+        """Primitives by which a stuck robot gets free, the next one first."""
 
     def _begin(self, view: RearrangeView) -> None:
         """Join the plan of those who play this episode now; one of an earlier play has been asked for later steps."""
@@ -324,10 +324,10 @@ class Talker(Speaker, Expert):
         Expert.__init__(self, episode, number, kinds, greedy=False)
         self.begun = True  # the plan is not shared
         self._finished: set[int] = set()
-        """Errands of which somebody has said that they are done."""
+        """Errands that an agent has reported as done."""
         self._known: set[int] = set()
         self._in_the_way = self._steps_aside = False
-        """True if somebody has asked it to move and it has not yet; true while it walks out of the way."""
+        """True if another agent has asked it to move and it has not moved yet; true while it walks out of the way."""
 
     def _choose(self, view: RearrangeView) -> Action:
         """Return the next skill as of the other experts; who has nothing to do and is asked to move goes elsewhere."""

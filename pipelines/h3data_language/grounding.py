@@ -22,7 +22,7 @@ from h3data_language.templates import HANDLING, PREDICATES, TEMPLATES, Template
 FLOOR = "floor of "
 """Prefix of the names of places on the floor of rooms."""
 _UNNAMED = ("toilet", "bathroom_sink", "wine_rack", "washer", "dryer")
-"""Furniture on which nobody is asked to put something."""
+"""Furniture that no instruction names as a place to put something."""
 _ROOMS = {"living": "living room", "child": "child's room", "dining": "dining room", "laundry": "laundry room"}
 
 
@@ -115,7 +115,7 @@ def home_of(scene: Scene, open_m: float) -> Home:
 
 
 def _places(names: Iterable[str], layout: Layout, category: Mapping[str, str]) -> dict[str, Place]:
-    """Pieces of furniture by words for them, those of one kind in one room together."""
+    """Return the pieces of furniture by words for them, those of one kind in one room together."""
     groups: dict[tuple[str, str], list[str]] = {}
     for name in names:
         room = room_at(layout, layout.furniture[name].center)
@@ -229,7 +229,7 @@ def parse(instruction: str, words: Words) -> list[Evaluation]:
 
 
 def _bindings(wording: str, text: str, words: Words) -> list[Mapping[str, tuple[str, ...]]]:
-    """Meanings of the slots of a wording by which it becomes a text."""
+    """Return the meanings of the slots of a wording by which it becomes a text."""
     head, slot, rest = re.match(r"([^{]*)(?:\{(\w)\})?(.*)", wording).groups()  # type: ignore[union-attr]
     if not text.startswith(head):
         return []

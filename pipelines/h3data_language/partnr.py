@@ -105,7 +105,7 @@ def states_of(entry: FileEntry, things: Sequence[str]) -> dict[str, list[bool]]:
     """Return the states of things at the start of an episode, by h3data's names; missing states are false.
 
     Raises:
-        FormatError: they are malformed.
+        FormatError: the states are malformed.
     """
     try:
         states = msgspec.convert(entry.extra.get("object_states") or {}, dict[str, dict[str, bool]])
@@ -136,14 +136,14 @@ class _Stage:
     """A place to which a thing is brought."""
 
     rank: int
-    """Number of propositions that come before it in sequence."""
+    """Number of propositions that come before the stage in sequence."""
     furniture: set[str] | None = None
-    """Furniture that will do; None: that of the anchor."""
+    """Furniture that is suitable; None: that of the anchor."""
     inside: bool = False
     anchor: str = ""
-    """Thing next to which it has to be."""
+    """Thing next to which the thing has to be."""
     of: list[int] = field(default_factory=list)
-    """Propositions that become true by it."""
+    """Propositions that become true by the stage."""
 
 
 @dataclass(eq=False)
@@ -240,7 +240,7 @@ class PartnrPlan:
         return None
 
     def _chosen(self, k: int, names: Sequence[str], number: int, furniture: set[str], inside: bool) -> list[str]:
-        """Things for a proposition: those that come to its place anyway, then those that go nowhere."""
+        """Return the things for a proposition: those that come to its place anyway, then those without another goal."""
         fits = [n for n in dict.fromkeys(names) if n in self.things]
         fits.sort(key=lambda n: (self._fits(n, k, furniture, inside) is None, len(self.stages.get(n, ()))))
         if len(fits) < number:
@@ -396,7 +396,7 @@ def plan_episode(
 
 
 def _sources(record: StoredLanguage, scene: Scene) -> dict[str, str]:
-    """Receptacle of the scene (``instance|receptacle``) on which each thing lies by the file; empty if there is none such."""
+    """Return receptacle of the scene (``instance|receptacle``) on which each thing lies in the file, or empty texts."""
     known = {f"{i.name}|{r.name}": f"{owner_of(scene, i.name)}|{r.name}" for i, r in scene.receptacles()}
     return {p.object: next((n for n, alias in known.items() if p.source in (n, alias)), "") for p in record.placements}
 
@@ -408,12 +408,12 @@ def owner_in(receptacle: str) -> str:
 
 
 def _original(evaluation: Evaluation, info: Mapping[str, Any]) -> list[Proposition]:
-    """Propositions as the file has them, which come before the copies with fewer things."""
+    """Return the propositions as the file has them, which come before the copies with fewer things."""
     return list(evaluation.propositions[: len(info[PROPOSITIONS])])
 
 
 def _edges(evaluation: Evaluation, count: int) -> list[tuple[int, int]]:
-    """Pairs of propositions, the earlier first, of which one waits for the other."""
+    """Return the pairs of propositions, the earlier first, of which one waits for the other."""
     pairs = {(a, b) for c in evaluation.constraints if c.type == "TemporalConstraint" for a, b in c.edges}
     for d in evaluation.dependencies:
         for k in d.proposition_indices:

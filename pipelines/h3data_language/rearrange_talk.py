@@ -42,10 +42,10 @@ class Teller(Speaker):
         self._seeking = Seeking(self._chooser) if episode.spec.observe == "seen" else None
         self.policy: Any = self._seeking or self._chooser
         self._claims: dict[int, tuple[int, int]] = {}
-        """For each object the agent that has said to take it, and when."""
+        """For each object, the agent that has announced to take it, and when."""
         self._known: set[int] = set()
         self._hinted = False
-        """True if somebody has said where an object is that is not known, and the planner has not chosen since."""
+        """True if another agent has stated the place of an unknown object, and the planner has not chosen since."""
 
     @property
     def interrupts_every(self) -> int:

@@ -258,7 +258,7 @@ class LanguageHousehold(Household):
 
 
 def _later_goals(extra: Mapping[str, Any], thing: str) -> list[tuple[NDArray[np.float64], str]]:
-    """Goals of a thing after the first, with their receptacles, which are named where they may be in drawers."""
+    """Return goals of a thing after the first, with their receptacles, which are named where they may be in drawers."""
     goals = extra["later_goals"].get(thing, ())
     names = extra.get("later_receptacles", {}).get(thing, [""] * len(goals))
     return [(np.array(goal, np.float64), name) for goal, name in zip(goals, names, strict=True)]
@@ -383,7 +383,7 @@ class Language(Rearrange):
 
     @staticmethod
     def _handle(play: Any, events: list[tuple[int, Event]]) -> None:
-        """Cleans, fills, pours out and switches what people have handled long enough."""
+        """Clean, fill, pour out and switch the things that people have handled for long enough."""
         handled, now = play.memory["handled"], set()
         for number, controller in enumerate(play.team.controllers):
             skill, thing = controller.action[:2]

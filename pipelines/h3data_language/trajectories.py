@@ -23,7 +23,7 @@ from h3data_language.evaluation.records import CONSTRAINTS, DEPENDENCIES, PROPOS
 from h3data_language.partnr import states_of
 
 _RADIUS_M, _HEIGHT_M = 0.25, 1.4
-"""Size of the agent for which the free floor is computed."""
+"""Radius and height [m] of the agent for which the free floor is computed."""
 
 
 def entry_of(recording: Recording, entries: Sequence[FileEntry]) -> FileEntry:

@@ -257,7 +257,7 @@ def _next_round(progress: Callable[..., Any], before: int, *, total: int, initia
 def _tasks_of(
     home: TaskHome, results: Mapping[tuple[str, int], dict[str, Any]]
 ) -> tuple[list[VerifiedTask], list[SkippedTask], list[int]]:
-    """Tasks of a home, episodes that are none, and the indexes of episodes whose results are asked next."""
+    """Return the tasks of a home, episodes that are none, and the indexes of episodes whose results are asked next."""
     found: list[VerifiedTask] = []
     skipped: list[SkippedTask] = []
     tries = 0

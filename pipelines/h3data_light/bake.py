@@ -41,7 +41,7 @@ _SUN = (9.0, 8.2, 6.8)
 _GLASS, _GLOW = 1.5, 1.8
 """Brightness of window panes and lamps, in units of the flat light."""
 _VIEW = 1.5
-"""Brightness of what is seen through panes, in units of the flat light."""
+"""Brightness of the view through panes, in units of the flat light."""
 _DARK = 1e-4
 """Median irradiance below which a scene has no light."""
 
@@ -203,7 +203,7 @@ def _voxels(
 
 
 def _emitters(voxels: Voxels, sources: LightSources, light: Light) -> NDArray[np.float32]:
-    """Windows, lamps and suns as the kernels take them (`direct.EMITTER_WORDS`), in voxels."""
+    """Return the windows, lamps and suns as the kernels take them (`direct.EMITTER_WORDS`), in voxels."""
     cell, nothing = voxels.cell_m, np.zeros(3)
     rows = []
     for window in sources.windows:
@@ -227,7 +227,7 @@ def _emitters(voxels: Voxels, sources: LightSources, light: Light) -> NDArray[np
 
 
 def _indoor_side(voxels: Voxels, center: NDArray[np.float64], across: NDArray[np.float64]) -> int | None:
-    """+1 or -1 for the side of a window that has something above it, None if both or none have."""
+    """Return +1 or -1 for the side of a window that has something above it, None if both or none have."""
     covered = []
     for sign in (1, -1):
         x, y, z = ((center + sign * 0.6 * across - voxels.origin) / voxels.cell_m).astype(int)
@@ -237,7 +237,7 @@ def _indoor_side(voxels: Voxels, center: NDArray[np.float64], across: NDArray[np
 
 
 def _indirect(voxels: Voxels, emitters: NDArray[np.float32]) -> tuple[pr.Probes, NDArray[np.float32], float] | None:
-    """Probes with all reflected light, the direct light of the faces of blocks, and the mean light of surfaces.
+    """Return probes with all reflected light, the direct light of the faces of blocks, and the mean light of surfaces.
 
     The direct light is [X', Y', Z', 6, 3]. Returns None if there is no light.
     """
@@ -271,7 +271,7 @@ def _reach(
     usable: NDArray[np.bool_],
     emitters: NDArray[np.float32],
 ) -> NDArray[np.uint64]:
-    """Bits of the windows and lamps that each block or a neighbour of it sees, shape [X', Y', Z', 2]."""
+    """Return the bits of the windows and lamps that each block or a neighbour of it sees, shape [X', Y', Z', 2]."""
     reach = np.zeros((*usable.shape, 2), np.uint64)
     pr.find_reach(voxels.distance, place, usable, emitters, reach)
     for axis in range(3):
@@ -286,7 +286,7 @@ def _reach(
 def _direct(
     voxels: Voxels, reach: NDArray[np.uint64], emitters: NDArray[np.float32]
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Faces of surfaces in each block and direction [X', Y', Z', 6], their direct light, and whether they are under cover."""
+    """Return faces in each block and direction [X', Y', Z', 6], their direct light, and whether they are covered."""
     shape = reach.shape[:3]
     count = np.zeros((*shape, 6), np.int32)
     most = 4 * int((voxels.distance == 0).sum()) // 3 + 64

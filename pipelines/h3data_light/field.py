@@ -23,7 +23,7 @@ SPACING_VOXELS = 10
 """Number of voxels between two points of the light field's grid."""
 _RAYS = 64
 _FARTHEST_M = 4.0
-"""Shadows do not reach farther."""
+"""Greatest distance that shadows reach [m]."""
 MOST = 0.85
 """Largest share of the light that comes from one direction; the rest comes from sky and walls."""
 FROM_DISC = float(0.5 * (1 + 1 / np.sqrt(1 + SPREAD**2)))
@@ -83,7 +83,7 @@ class LightField:
         return LightAt(direction, np.minimum(share, MOST), reach, cube.mean(1))
 
     def _interpolated(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Cubes [N, 6, 3] and reaches [N], from the points of the grid around each that are in the open."""
+        """Return cubes [N, 6, 3] and reaches [N], from the grid points around each point that are in the open."""
         shape = np.array(self.reach_m.shape)
         place = np.clip((points - self.origin) / self.spacing_m - 0.5, 0, np.maximum(shape - 1, 0))
         low = np.minimum(place.astype(int), np.maximum(shape - 2, 0))
@@ -110,7 +110,8 @@ class LightField:
 
         Args:
             capsules: Capsules of all moving objects in the world [m]; rows with NaN are ignored.
-            groups: Group index of each capsule [N]; a person, robot or object is one group with one light direction.
+            groups: Group index of each capsule, from 0 [N]; a person, robot or object is one group with one light
+                direction.
             members: Group index of every instance of the scene, or -1 for static ones, shape [I].
         """
         c = np.asarray(capsules, np.float64).reshape(-1, 7)
@@ -179,6 +180,8 @@ def light_field(
 
 def mirrored(field: LightField, world: NDArray[np.floating], irradiance: NDArray[np.floating]) -> NDArray[np.float32]:
     """Return the light that vertices of a glossy floor reflect from -x, +x, +y, -z and +z, shape [V, 5].
+
+    The values are 0 on the sides of the floor.
 
     Args:
         field: Light field around the floor.

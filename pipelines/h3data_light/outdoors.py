@@ -22,7 +22,7 @@ _WIDE_M, _HIGH_M = 9.0, 4.5
 """Width and height of the picture [m], with the horizon in its middle."""
 _PIXELS = (512, 256)
 _PLANE_M = 0.02
-"""Panes are within this distance of the middle plane of their window."""
+"""Distance of panes from the middle plane of their window, at most [m]."""
 
 
 def with_view(mesh: Mesh, matrix: NDArray[np.float64], *, floor_y: float, shown: float) -> Mesh:

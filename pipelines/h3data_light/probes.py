@@ -18,11 +18,11 @@ from h3data_light.voxels import GLASS, PROBE_VOXELS, march, sees
 RAYS = (96, 64)
 """Number of rays of a probe for the first bounce of light and for the second."""
 _USEFUL = PROBE_VOXELS + 2
-"""Probes farther from all surfaces [voxels] light none."""
+"""Distance from all surfaces [voxels] beyond which probes light nothing."""
 _FAINT = 0.02
 """Irradiance below which a window or lamp is left out."""
 _ROTATIONS = 8
-"""Neighbouring probes cast different rays; `_blur` averages them."""
+"""Number of rotations of the rays of probes, which differ between neighbours; `_blur` averages them."""
 
 
 class Probes(NamedTuple):
@@ -240,11 +240,12 @@ def blur(distance, place, usable, light, out, axis):
 def light_points(distance, points, normals, inward, emitters, side, reach, place, usable, light, out):
     """Fill the irradiance ``out`` [N, 3] at surface points [N, 3] with unit normals.
 
-    It is NaN where a point lies inside other surfaces or sees no probe.
+    The irradiance is NaN where a point lies inside other surfaces or sees no probe.
 
-    ``side`` is the number of rays along each side of a window. Without probes (0 blocks) it is the direct light alone.
-    Points are lifted off their surface by more than a voxel. Points at a corner then still lie in the other surface, so
-    they are also moved ``inward`` [N, 3], towards the middle of their own faces, by little more than a voxel.
+    ``side`` is the number of rays along each side of a window. Without probes (0 blocks), the result is the direct
+    light alone. Points are lifted off their surface by more than a voxel. Points at a corner then still lie in the
+    other surface, so they are also moved ``inward`` [N, 3], towards the middle of their own faces, by little more than
+    a voxel.
     """
     shape = usable.shape
     for n in range(len(points)):

@@ -22,17 +22,17 @@ _BEND = 0.075
 """Difference of brightness (square root of light, 1 = mean) between the middle of an edge and the mean of its ends above
 which the edge is cut."""
 _FLAT = 0.15
-"""Difference between the ends below which the middle of an edge of up to `_NEAR_M` is not looked at."""
+"""Difference between the ends of an edge of up to `_NEAR_M` below which its middle is not tested."""
 _NEAR_M = 0.4
 _BRIGHTEST = 1.8
-"""Brighter light looks much the same."""
+"""Brightness above which differences of light are hardly visible."""
 _UPWARD, _CONTACT_M = 0.7, 0.3
 """Least upward component of normals of surfaces on which edges longer than the second number are cut where they run
 under something."""
 _APART = 0.4
-"""Edges whose middle is hidden are cut if their ends differ more."""
+"""Difference of the ends above which an edge is cut although its middle is hidden."""
 _UNDER = 0.75
-"""Light of what lies hidden under furniture, in units of that beside it."""
+"""Light of surfaces hidden under furniture, in units of that beside it."""
 _SMOOTH_M, _SMOOTHINGS = 0.22, 2
 """Distance of neighbours from which vertices take light, and number of repetitions: shadows get soft edges rather than
 the mesh's."""
@@ -45,7 +45,10 @@ LightAt = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64
 
 @dataclass
 class Heap:
-    """Vertices of several meshes with all values that are interpolated along edges, in the mesh frames."""
+    """Vertices of several meshes with all values that are interpolated along edges, in the mesh frames.
+
+    The columns are ``x y z nx ny nz r g b u v``.
+    """
 
     vertices: NDArray[np.float64]
     """Attributes ``x y z nx ny nz r g b u v`` of the vertices in their mesh's frame, shape [V, 11]."""
@@ -111,7 +114,7 @@ def refine(heap: Heap, light_at: LightAt, *, mean: float, lit: NDArray[np.bool_]
 
 
 def _light_new(heap: Heap, faces: NDArray[np.int64], light_at: LightAt) -> None:
-    """Light of the vertices of ``faces``."""
+    """Set the light of the vertices of ``faces``."""
     corners = heap.world[faces, :3]
     offset = (corners.mean(1)[:, None] - corners).reshape(-1, 3)
     sums = [np.bincount(faces.ravel(), offset[:, a], len(heap.vertices)) for a in range(3)]
@@ -121,7 +124,7 @@ def _light_new(heap: Heap, faces: NDArray[np.int64], light_at: LightAt) -> None:
 
 
 def _direction(offset: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors of offsets [n, 3], 0 for those without length."""
+    """Return the unit vectors of offsets [n, 3], 0 for those without length."""
     length = np.linalg.norm(offset, axis=1, keepdims=True)
     return np.where(length > 1e-4, offset / np.maximum(length, 1e-9), 0.0)
 
@@ -129,7 +132,10 @@ def _direction(offset: NDArray[np.float64]) -> NDArray[np.float64]:
 def _cut_edges(
     heap: Heap, faces: NDArray[np.int64], light_at: LightAt, mean: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Which edges of each face are cut and the vertices at their middle, each [F, 3]; edge k goes from corner k to k + 1."""
+    """Return which edges of each face are cut, and the vertices at their middle, each [F, 3].
+
+    Edge k goes from corner k to k + 1.
+    """
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     count = len(heap.vertices)
     keys, back = np.unique(ends[:, 0] * count + ends[:, 1], return_inverse=True)
@@ -201,7 +207,7 @@ def _children(
 
 
 def _smooth(heap: Heap) -> None:
-    """Vertices without light, which lie in other surfaces, take that of their neighbours; then light is smoothed a little.
+    """Give vertices without light, inside other surfaces, that of their neighbours, and smooth the light a little.
 
     Vertices with equal positions and normals count as one.
     """

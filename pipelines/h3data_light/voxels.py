@@ -23,7 +23,7 @@ GLASS = 255
 """Value of voxels of window panes: transparent for the sun, opaque for all other rays (see `direct`)."""
 _FARTHEST = 100
 _HOLLOW_M3 = 3.0
-"""Smaller closed hollows are the inside of furniture and of walls: points of other surfaces in there are hidden."""
+"""Volume below which a closed hollow is the inside of furniture or walls, where points of other surfaces are hidden."""
 
 
 class Voxels(NamedTuple):
@@ -108,7 +108,10 @@ def _mark(triangles, colors, glass, distance, sums):
 
 
 def _reachable(free: NDArray[np.bool_], *, lamps: NDArray[np.float64], cell_m: float) -> NDArray[np.bool_]:
-    """Free voxels but those of hollows: closed, smaller than `_HOLLOW_M3` and without a lamp (positions [L, 3])."""
+    """Return the free voxels except those of closed hollows, smaller than `_HOLLOW_M3`, without a lamp.
+
+    ``lamps`` are positions [L, 3].
+    """
     from scipy.ndimage import label
 
     parts: NDArray[np.int32] = np.empty(free.shape, np.int32)

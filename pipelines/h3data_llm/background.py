@@ -67,10 +67,10 @@ class BackgroundModel:
         """Take over a `h3data_llm.policy.LanguageModelPolicy` with an endpoint that never waits."""
         self._policy = policy
         self._view: RearrangeView | None = None
-        """View of the decision that is being made; None: none is."""
+        """View of the decision that is being made; None if none is being made."""
         self._action: Action | None = None
         self._ended: SkillResult | None = None
-        """The last choice, and its result once it has ended."""
+        """Last choice, and its result once it has ended."""
         self._retry_at, self.faults = 0.0, list[str]()
 
     def command(self, view: RearrangeView) -> Action | None:

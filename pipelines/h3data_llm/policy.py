@@ -37,7 +37,7 @@ TEXT_RULES = (
 
 
 class Decision(NamedTuple):
-    """One answer of a language model, as it is recorded."""
+    """Answer of a language model, in the form in which recordings store it."""
 
     step: int
     request: str
@@ -131,7 +131,7 @@ class LanguageModelPolicy:
         self._past: deque[list[dict[str, Any]]] = deque(maxlen=where.history)
         self._seed = int(episode.seed) % 2**31
         self.decisions: list[Decision] = []
-        """All answers so far, with those that meant nothing."""
+        """All answers so far, including invalid ones."""
         self._plans = self._faults = 0
         self._work: Work | None = None
         self._call: tuple[dict[str, Any], Call] | None = None

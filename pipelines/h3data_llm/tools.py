@@ -239,7 +239,7 @@ def _tool(name: str, tools: Sequence[Tool]) -> Tool:
 
 
 def _split(text: str, tool: Tool) -> dict[str, Any]:
-    """Arguments between brackets, in the order of the parameters; the last one may contain commas."""
+    """Return the arguments between brackets, in the order of the parameters; the last one may contain commas."""
     values = [value.strip() for value in text.split(",", max(len(tool.parameters) - 1, 0))] if text.strip() else []
     if len(values) > len(tool.parameters):
         raise LanguageModelError(f"{tool.name} takes no arguments, got {text[:60]!r}.", code="H3-LLM-018")

@@ -68,14 +68,15 @@ class _Look:
     color: tuple[int, int, int] = DEFAULT_COLOR
     texture: Texture | None = None
     texcoord: str = ""
-    """The name that the material gives to its texture coordinates."""
+    """Name that the material gives to its texture coordinates."""
 
 
 def read_collada(path: Path, resource: Callable[[str], bytes]) -> list[ColladaPart]:
     """Return the parts of the file's scene; ``resource`` returns the bytes of an image by its name in the file.
 
     Raises:
-        SceneError, ValueError, ParseError: the file is damaged; the message states where.
+        SceneError, ValueError, ParseError: the file is damaged; the message states where, and `h3data.mesh.loading`
+            adds the name of the file.
     """
     return list(_Collada(path, resource).parts())
 
@@ -124,7 +125,7 @@ class _Collada:
 
     # --- scene graph --------------------------------------------------------------------------------------------------
     def parts(self) -> Iterator[ColladaPart]:
-        """Every primitive, once per node that shows it."""
+        """Yield every primitive, once per node that shows it."""
         shown = 0
         for geometry, matrix, looks in self._instances():
             for primitive in self._geometry(geometry):
@@ -145,7 +146,7 @@ class _Collada:
         return matrix
 
     def _instances(self) -> Iterator[tuple[Element, Array, dict[str, Element]]]:
-        """Geometries that the scene shows: each with its matrix and the materials of its primitives by symbol."""
+        """Yield geometries that the scene shows, each with its matrix and the materials of its primitives by symbol."""
         to_metres = self._to_metres()
         scene = self.root.find("scene/instance_visual_scene")
         shown = None if scene is None else self._target(scene, "visual_scene")
@@ -180,7 +181,7 @@ class _Collada:
     def _controlled(
         self, controller: Element, matrix: Array, looks: dict[str, Element], to_metres: Array
     ) -> Iterator[tuple[Element, Array, dict[str, Element]]]:
-        """A skin in its bind pose, which is in the scene's frame, or the base of a morph."""
+        """Add a skin in its bind pose, which is in the scene's frame, or the base of a morph."""
         for _ in range(10):
             skin, morph = controller.find("skin"), controller.find("morph")
             deformer = skin if skin is not None else morph
@@ -243,7 +244,10 @@ class _Collada:
         )
 
     def _inputs(self, element: Element, mesh: Element, where: str) -> dict[tuple[str, int], tuple[int, Array]]:
-        """Offset and values [N, width] of every input by its meaning and set; VERTEX stands for what <vertices> has."""
+        """Return offset and values [N, width] of every input by its meaning and set.
+
+        The input VERTEX stands for those of <vertices>.
+        """
         found: dict[tuple[str, int], tuple[int, Array]] = {}
         for record in element.iterfind("input"):
             offset, number = _natural(record.get("offset", "0"), where), _natural(record.get("set", "0"), where)
@@ -389,7 +393,7 @@ def _bindings(instance: Element) -> dict[str, Element]:
 
 
 def _texture_coordinates(sets: Mapping[int, Array], binding: Element | None, name: str) -> NDArray[np.float32] | None:
-    """Coordinates of the set that the instance binds to the material's name; else of the first set."""
+    """Return the coordinates of the set that the instance binds to the material's name; else of the first set."""
     if not sets:
         return None
     bound = [] if binding is None else [b for b in binding.iterfind("bind_vertex_input") if b.get("semantic") == name]
@@ -434,7 +438,7 @@ def _rotate(text: str) -> Array:
 
 
 def _lookat(text: str) -> Array:
-    """From the eye along -z to the point of interest."""
+    """Return the transform of a view from the eye along -z to the point of interest."""
     eye, interest, up = _numbers(text, 9, "<lookat>").reshape(3, 3)
     forward = normalized(interest - eye)
     right = normalized(np.cross(forward, up))
@@ -444,7 +448,10 @@ def _lookat(text: str) -> Array:
 
 
 def _skew(text: str) -> Array:
-    """RenderMan's skew: turns the first axis by an angle [deg] towards the second one, along which all points slide."""
+    """Return RenderMan's skew, which turns the first axis by an angle [deg] towards the second one.
+
+    All points slide along the second axis.
+    """
     values = _numbers(text, 7, "<skew>")
     angle, turned, along = np.radians(values[0]), normalized(values[1:4]), normalized(values[4:])
     across = turned - along * (turned @ along)

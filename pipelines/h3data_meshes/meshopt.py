@@ -69,7 +69,7 @@ def _check(status: int) -> None:
 # --- bit streams (appendix A) -----------------------------------------------------------------------------------------
 @kernel()
 def _unpack_attributes(data: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:
-    """Mode 0: bytes of equal place in successive elements, as differences in groups of 16."""
+    """Unpack mode 0: bytes of equal place in successive elements, as differences in groups of 16."""
     count, stride = out.shape
     tail = max(stride, _TAIL_BYTES)
     end = len(data) - tail
@@ -139,7 +139,7 @@ def _signed(value: int) -> int:
 
 @kernel()
 def _unpack_triangles(data: NDArray[np.uint8], out: NDArray[np.uint32]) -> int:
-    """Mode 1: corners of triangles from the 16 latest edges and vertices, mostly one byte per triangle."""
+    """Unpack mode 1: corners of triangles from the 16 latest edges and vertices, mostly one byte per triangle."""
     triangles = len(out) // 3
     end = len(data) - 16
     at = 1 + triangles
@@ -212,7 +212,7 @@ def _unpack_triangles(data: NDArray[np.uint8], out: NDArray[np.uint32]) -> int:
 
 @kernel()
 def _unpack_indices(data: NDArray[np.uint8], out: NDArray[np.uint32]) -> int:
-    """Mode 2: differences from the latest index of one of two sequences."""
+    """Unpack mode 2: differences from the latest index of one of two sequences."""
     end = len(data) - 4
     latest = np.zeros(2, np.int64)
     at = 1
@@ -259,7 +259,7 @@ def _exponential(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _rounded(values: NDArray[Any]) -> NDArray[Any]:
-    """To the nearest integer, halves away from zero, as C's ``round``."""
+    """Round to the nearest integer, halves away from zero, as C's ``round``."""
     return np.trunc(values + np.copysign(0.5, values))
 
 

@@ -69,9 +69,9 @@ class _Element:
     properties: list[tuple[str, str | None, str]] = field(default_factory=list)
     """Name, type of a list's length (None: no list), type of the value."""
     raw: bytes = b""
-    """The bytes, or the lines, of an element other than the faces and without lists."""
+    """Bytes, or lines, of an element other than the faces and without lists."""
     rows: list[list[Array]] = field(default_factory=list)
-    """Per row, the values of each property; for the faces and elements with lists."""
+    """Values of each property by row; for the faces and elements with lists."""
 
     @property
     def scalar(self) -> bool:
@@ -137,7 +137,7 @@ def _picked(values: Array, cut: NDArray[np.int64], size: int) -> Array:
 
 
 def _has_polygons(body: bytes, form: str, elements: list[_Element], face: _Element, corners_at: int) -> bool:
-    """False if all faces are triangles, as in most large files; binary ones are not read row by row for that."""
+    """Return False if all faces are triangles, as in most large files; binary files are not read row by row for it."""
     before = elements[: elements.index(face)]
     if form == "ascii":
         start = sum(e.count for e in before)

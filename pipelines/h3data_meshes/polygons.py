@@ -99,7 +99,7 @@ def _fan(size: int) -> NDArray[np.int64]:
 
 
 def _normals(polygons: Array) -> Array:
-    """Newell's normals of polygons [n, k, 3], not of unit length; z where there is no area."""
+    """Return Newell's normals of polygons [n, k, 3], not of unit length; z where there is no area."""
     nearby = polygons - polygons[:, :1]
     normal = np.cross(nearby, np.roll(nearby, -1, 1)).sum(1)
     normal[~(np.abs(normal).max(1) > 0)] = (0, 0, 1)
@@ -107,7 +107,7 @@ def _normals(polygons: Array) -> Array:
 
 
 def _project(polygons: Array, normals: Array) -> Array:
-    """Polygons [n, k, 3] in two coordinates [n, k, 2], around their first corner; areas keep the sign of the normal."""
+    """Return polygons [n, k, 3] in two coordinates [n, k, 2], around their first corner; areas keep their sign."""
     axis = np.abs(normals).argmax(1)
     sign = np.sign(normals[np.arange(len(normals)), axis])
     nearby = polygons - polygons[:, :1]
@@ -128,12 +128,12 @@ def _doubled_area(ring: Array) -> float:
 
 
 def _cross(a: Array, b: Array, c: Array) -> Array:
-    """Twice the signed area of triangles [..., 2]."""
+    """Return twice the signed area of triangles [..., 2]."""
     return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
 
 
 def _clipped(flat: Array) -> NDArray[np.int64]:
-    """Ears of a counter-clockwise polygon [k, 2], cut off one after another: triangles [k - 2, 3]."""
+    """Return the triangles [k - 2, 3] of a counter-clockwise polygon [k, 2], whose ears are cut one after another."""
     left = list(range(len(flat)))
     out = []
     at = 0
@@ -146,7 +146,7 @@ def _clipped(flat: Array) -> NDArray[np.int64]:
 
 
 def _ear(flat: Array, left: list[int], first: int) -> int:
-    """Place in ``left`` of a corner that can be cut off; of one that harms least, if none can."""
+    """Return the place in ``left`` of a corner that can be cut off; of one that harms least, if none can."""
     ring = flat[left]
     before, after = np.roll(ring, 1, 0), np.roll(ring, -1, 0)
     area = _cross(before, ring, after)

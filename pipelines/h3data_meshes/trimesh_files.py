@@ -125,7 +125,7 @@ def _mesh(geometry: Any, path: Path) -> Mesh:
 
 
 def _uv(uv: Any) -> NDArray[np.float32]:
-    """From trimesh's origin in the lower left corner to ours in the upper left one."""
+    """Convert texture coordinates from trimesh's origin in the lower left corner to ours in the upper left one."""
     values = np.nan_to_num(np.asarray(uv, np.float64)[:, :2])
     return np.column_stack([values[:, 0], 1 - values[:, 1]]).astype(np.float32)
 

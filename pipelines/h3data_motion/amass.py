@@ -87,7 +87,7 @@ def read_amass(path: str | Path, *, up: Up = "z", fps: float | None = None, sour
 
 
 def _joint_rotvecs(data: Mapping[str, NDArray[Any]], where: str) -> Array:
-    """Axis-angle vectors [T, n, 3] of n joints, n a key of `LAYOUTS`."""
+    """Return the axis-angle vectors [T, n, 3] of n joints, n a key of `LAYOUTS`."""
     if any(k in data for k in BODY_KEYS):
         body_key = _key(data, BODY_KEYS, where)
         body = _flat(data, body_key, where)

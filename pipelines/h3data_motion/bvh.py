@@ -143,7 +143,7 @@ class _Reader:
             raise self.fault(f"expected {keyword}, got {found[:40]!r}")
 
     def expect_label(self, label: str) -> None:
-        """Words that end in a colon, which may stand apart from the last one, or beside what follows: ``Frames:524``."""
+        """Read words that end in a colon, apart from the last one or beside what follows: ``Frames:524``."""
         *first, last = label.split()
         for keyword in first:
             self.expect(keyword)

@@ -104,7 +104,7 @@ class _Mapped:
     name: str
     table: NameTable
     index: Mapping[str, int]
-    """Our joint: index in the file."""
+    """Index in the file of each of our joints."""
 
 
 def load_name_table(name: str | Path) -> NameTable:
@@ -246,7 +246,7 @@ def _fitting_table(bvh: Bvh, names: str | Path | None, where: str) -> _Mapped:
 
 
 def _order_faults(bvh: Bvh, index: Mapping[str, int]) -> list[str]:
-    """Mapped joints that do not hang, directly or not, on the mapped joint that ours hang on."""
+    """Return the mapped joints that do not descend from the mapped joint from which ours descend."""
     faults = []
     for name, at in index.items():
         parent = PARENTS[JOINT_INDEX[name]]
@@ -316,7 +316,7 @@ def _axes(text: str) -> Array | None:
 
 
 def _corrections(found: _Mapped, places: Array, upright: Array, where: str) -> dict[str, Array]:
-    """A_j as quaternions: from our T-pose to the joint's frame without rotations."""
+    """Return A_j as quaternions: from our T-pose to the joint's frame without rotations."""
     index, out = found.index, dict[str, Array]()
     turns: dict[str, Array] = {}  # how limbs of the rest pose are off a T-pose, in the body frame
     for name in JOINT_NAMES:
@@ -341,7 +341,7 @@ def _corrections(found: _Mapped, places: Array, upright: Array, where: str) -> d
 
 
 _OWN_TURN = {False: ("_hip", "_collar", "_ankle"), True: ("_hip", "_collar")}
-"""Joints that do not go with a limb of the rest pose that is off a T-pose; hands, fingers and toes do."""
+"""Joints that do not turn with a limb whose rest pose differs from a T-pose; hands, fingers and toes do."""
 
 
 def _mapped_parent(name: str, mapped: Mapping[str, Array]) -> str:

@@ -232,7 +232,7 @@ def _options(
 
 
 def _collect(paths: tuple[Path, ...], out: Path) -> list[tuple[Path, Path]]:
-    """Pairs of input file and output file; files from a folder keep their relative paths."""
+    """Return the pairs of input file and output file; files from a folder keep their relative paths."""
     suffixes = motion_suffixes()
     sources: list[tuple[Path, Path]] = []
     for path in paths:

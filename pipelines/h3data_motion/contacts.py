@@ -1,6 +1,6 @@
 """Correction of sliding feet: floor contact is detected by height and speed, and legs follow by inverse kinematics.
 
-A foot on the floor rolls over its heel, the ball below its toe joint, and the tip of its toes, whichever is lowest; The
+A foot on the floor rolls over its heel, the ball below its toe joint, and the tip of its toes, whichever is lowest. The
 rotations of the foot are kept, and its lowest point rests while it is the lowest. Between two stances the correction is
 interpolated. All coordinates are in a frame with the floor at y = 0.
 """
@@ -28,7 +28,8 @@ from h3data.geometry import (
 
 LOW_M, SLOW_MPS = 0.04, 0.25
 """Height [m] and speed [m/s] that decide contact. A point of a sole touches the floor if height / LOW_M + speed /
-SLOW_MPS is below 1. A point on the floor may slide, as on a body of other proportions."""
+SLOW_MPS is below 1. A point on the floor may slide, as on a body of other proportions; in the air, only a resting point
+counts."""
 SPEED_S = 1 / 60
 """Time before and after a frame over which speeds are measured [s]; the smaller speed is used."""
 GAP_S, STANCE_S = 0.06, 0.10
@@ -190,8 +191,8 @@ def _shortest_turn(a: Array, b: Array) -> Array:
 def leg_frames(body: Humanoid, quats: Array, pelvis: Array) -> Array:
     """Return frames [T, 2, 4, 4, 4] of hip, knee, ankle and toe joint of both legs, in the frame of ``pelvis`` [T, 3].
 
-    It computes the same as `h3data.bodies.people.kernels.clips.joint_frames`, but only for these joints and with a
-    seventh of the memory.
+    The function computes the same as `h3data.bodies.people.kernels.clips.joint_frames`, but only for these joints and
+    with a seventh of the memory.
     """
     frames = np.zeros((len(quats), 2, 4, 4, 4))
     frames[..., 3, 3] = 1

@@ -89,7 +89,7 @@ def find_loop(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: floa
 
 
 def _features(motion: Motion, body: Humanoid) -> Array:
-    """Joint places and velocities seen from the pelvis' place and heading, shape [T, 22, 6]."""
+    """Return the joint places and velocities seen from the pelvis' place and heading, shape [T, 22, 6]."""
     at_origin = np.tile(IDENTITY_POSE, (len(motion), 1))
     frames = body.joint_matrices(at_origin, motion.quats, motion.pelvis)[:, :COMPARED, :3, 3]
     back = quat_from_heading(-pelvis_heading(motion.quats[:, 0]))[:, None]
@@ -141,7 +141,7 @@ def trim_to_cycle(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: 
 
 
 def _straightened(quats: Array, pelvis: Array, turn: float, share: Array) -> tuple[Array, Array, float]:
-    """Rotations [F + 1, 55, 4] and places [F + 1, 3] without the net ``turn`` [rad], travel along x, and the stride [m]."""
+    """Return rotations [F + 1, 55, 4] and places [F + 1, 3] without net ``turn`` and travel, and the stride."""
     back = quat_from_heading(-turn * share)
     quats = quats.copy()
     quats[:, 0] = quat_multiply(back, quats[:, 0])
@@ -156,7 +156,7 @@ def _straightened(quats: Array, pelvis: Array, turn: float, share: Array) -> tup
 
 
 def _closed(quats: Array, pelvis: Array, share: Array) -> tuple[Array, Array]:
-    """[F, 55, 4] and [F, 3], relative to a root that travels evenly; frame F would be frame 0 again."""
+    """Return [F, 55, 4] and [F, 3] relative to a root that travels evenly; frame F would be frame 0 again."""
     rest = quat_multiply(quat_conjugate(quats[-1]), quats[0])
     identity = np.broadcast_to([0.0, 0, 0, 1], rest.shape)
     spread = quat_nlerp(identity, rest, np.broadcast_to(share[:, None], (len(share), quats.shape[1])))
@@ -188,7 +188,7 @@ def _planted_round(
 
 
 def _unrolled(touching: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Two rounds, so that a stance across the seam is one run."""
+    """Return the cycle twice, so that a stance across the seam is one run."""
     return np.concatenate([touching, touching])
 
 

@@ -90,14 +90,14 @@ class MotionGaits(Gaits):
     def stance(self, speed_mps: float) -> float:
         """Return the share of a cycle in which a foot is on the floor at a speed [m/s].
 
-        It is that of the captured cycle at speeds at which the cycle is used.
+        At speeds at which the captured cycle is used, the share is that of the cycle.
         """
         return self.cycle.stance if self.plays(speed_mps) else Gaits.stance(self, speed_mps)
 
     def strike(self, speed_mps: float) -> float:
         """Return the distance of a foot ahead of the pelvis at its strike, in strides, at a speed [m/s].
 
-        It is that of the captured cycle at speeds at which the cycle is used.
+        At speeds at which the captured cycle is used, the distance is that of the cycle.
         """
         return self.cycle.strike if self.plays(speed_mps) else Gaits.strike(self, speed_mps)
 
@@ -281,7 +281,7 @@ def _roll(legs: Legs, pitch: Array) -> Array:
 
 
 def _flight(own: Array, stance: float, strike_m: float, stride_m: float) -> Array:
-    """`Cycle.flight` of a foot's ankle over its own phase [F, 3] [m]."""
+    """Return `Cycle.flight` of a foot's ankle over its own phase [F, 3] [m]."""
     u = np.linspace(0, 1, 49)
     place = _sampled(own, stance + u * (1 - stance) * (1 - 1e-9))
     line = strike_m - stride_m * stance * (1 - u * u * (3 - 2 * u))
@@ -290,7 +290,7 @@ def _flight(own: Array, stance: float, strike_m: float, stride_m: float) -> Arra
 
 
 def _with_fingers(quats: Array, legs: Legs) -> Array:
-    """Return the rotations with the fingers of somebody who stands where fingers have not been captured."""
+    """Return the rotations, with the fingers of a standing person if fingers have not been captured."""
     still = 2 * np.arccos(np.clip(np.abs(quats[:, _FINGERS, 3]), 0, 1)).max() < STILL_RAD
     if still:
         quats = quats.copy()

@@ -24,7 +24,7 @@ def npz_names(path: Path | io.BytesIO) -> tuple[str, ...]:
     """Return the names of the arrays in an npz file.
 
     Raises:
-        FormatError: it is not a zip file.
+        FormatError: the file is not a zip file.
         InputError: there is no such file.
     """
     try:

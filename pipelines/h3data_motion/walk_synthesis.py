@@ -70,7 +70,10 @@ def walk_columns(body: Humanoid, base_pose: Array, time_ns: NDArray[np.int64]) -
 
 
 def _changes(base_pose: Array, time: Array) -> tuple[Array, Array]:
-    """Distance since the step before [T] [m], negative backwards, and turn to the left [T] [rad]; 0 at jumps and gaps."""
+    """Return the distance since the step before [T] [m] and the turn to the left [T] [rad].
+
+    Backward distances are negative; both are 0 at jumps and gaps.
+    """
     way, turn = np.zeros(len(base_pose)), np.zeros(len(base_pose))
     if len(base_pose) < 2:
         return way, turn
@@ -85,7 +88,7 @@ def _changes(base_pose: Array, time: Array) -> tuple[Array, Array]:
 
 
 def _rate(change: Array, time: Array) -> Array:
-    """Mean change per second [T] over the window around each step."""
+    """Return the mean change per second [T] over the window around each step."""
     if len(time) < 2:
         return np.zeros(len(time))
     total = np.cumsum(change)

@@ -1,4 +1,7 @@
-"""Selection of the few seconds of a capture that become a gait, an entry point of the group ``h3data.walks``."""
+"""Selection of the few seconds of a capture that become a gait.
+
+`h3data.bodies.names` finds it by the entry-point group ``h3data.walks``.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +96,7 @@ def walk_of(motion: Motion) -> Motion:
 
 
 def _walked(motion: Motion) -> Motion:
-    """Return the longest part of a motion in which somebody walks steadily."""
+    """Return the longest part of a motion in which the person walks steadily."""
     count = max(2, round(PACE_S * motion.fps))
     pace = np.linalg.norm(motion.pelvis[count:, ::2] - motion.pelvis[:-count, ::2], axis=1) * motion.fps / count
     fastest = float(np.percentile(pace, 95))

@@ -16,7 +16,10 @@ from h3data.commands.options import Option, options_of, split_list
 
 
 def _listed(option: Option, words: Iterable[str]) -> list[str]:
-    """All values of a list option: each word may hold several. A path with a comma in its name is one value if it exists."""
+    """Return all values of a list option; each word may contain several.
+
+    A path with a comma in its name is one value if it exists.
+    """
     listed: list[str] = []
     for word in words:
         parts = [word] if option.kind is Path and os.path.exists(word) else split_list(word)

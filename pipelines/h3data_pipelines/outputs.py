@@ -129,7 +129,7 @@ class _FolderSink:
 
 @contextmanager
 def _open_folder(target: Path, picture: ToPicture, *, ids: bool) -> Iterator[Sink]:
-    """A folder of pictures that gets the name ``target`` when it is complete, replacing older pictures."""
+    """Yield a folder of pictures that gets the name ``target`` when it is complete, replacing older pictures."""
     part = target.with_name(target.name + ".part")
     for folder in (part, target):
         others = [p for p in folder.glob("*") if not re.fullmatch(r"\d{6,}\.png(\.part)?", p.name)]

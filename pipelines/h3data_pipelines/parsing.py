@@ -31,7 +31,7 @@ from h3data_pipelines.option_words import KINDS, read_value
 
 _CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
 _SILENT = ("None", "False", "", "''")
-"""Defaults that help leaves out: they only mean that the option is not given."""
+"""Defaults that help leaves out, because they only mean that the option is not given."""
 _COMMON_HELP = (
     "Every command also takes --config JOB.toml (options by name, those given here win), --quiet (no progress), and "
     "--trust MODULE (files may name what is in this Python module; repeatable)."
@@ -316,7 +316,7 @@ def _first_example(command: type[Command]) -> str:
 
 @_registry.primitive_rule
 def _typed(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Numbers, texts and paths in help; None is not among them, as it only means that the option is not given."""
+    """Return the numbers, texts and paths in help, without None, which only means that the option is not given."""
     kinds = [kind for kind in get_args(info.type) or (info.type,) if kind is not NoneType]
     if len(set(kinds)) != 1 or kinds[0] not in KINDS:
         return None

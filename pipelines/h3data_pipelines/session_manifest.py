@@ -4,13 +4,13 @@ A manifest has one row for each participant, condition, session or file. Some co
 data about them:
 
 ========== =============================================================================================================
-chooses    ``file``: path of the imported file below the imported folder, ``*`` and ``?`` allowed (``P01/*``); without a
+selects    ``file``: path of the imported file below the imported folder, ``*`` and ``?`` allowed (``P01/*``); without a
            folder, its name. ``user_id``: as logged, or its pseudonym. ``episode_id``, ``experiment``: as logged
-says       ``participant``, ``condition``, ``policy`` (of the robot), ``partner``, ``population``, ``solo_steps`` (steps of
+states     ``participant``, ``condition``, ``policy`` (of the robot), ``partner``, ``population``, ``solo_steps`` (steps of
            a person alone in the same episode), ``max_steps`` (longest duration)
 ========== =============================================================================================================
 
-A row applies to the recordings that fit all of its choosing cells which are not empty; a later row overrides an earlier one.
+A row applies to the recordings that match all of its non-empty selecting cells; a later row overrides an earlier one.
 """
 
 from __future__ import annotations

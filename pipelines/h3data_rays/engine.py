@@ -56,7 +56,10 @@ class HybridEngine(CpuEngine):
         return "rgb" in outputs and self.light.shadow_rays > 0
 
     def _caster(self, world: World, hidden_layers: tuple[str, ...]) -> RayCaster:
-        """Rays through a world. Static and moving instances are separate parts, rebuilt only when they have changed."""
+        """Return the ray caster of a world.
+
+        Static and moving instances are separate parts, which are rebuilt only when they have changed.
+        """
         key = (self.worlds.index(world), hidden_layers)
         version, caster = self._casters.pop(key, (-1, None))
         if caster is None or version != world.version:

@@ -61,7 +61,7 @@ class Part:
         self.instance = np.repeat(instances.astype(np.int32), counts)
         cut_out = scene.cut_out_faces[self._scene_face]
         self._whole = int((~cut_out).sum())
-        """Number of triangles without holes; they come first."""
+        """Number of triangles without holes, which come first."""
         if self._whole < len(cut_out):
             order = np.argsort(cut_out, kind="stable")
             self._faces = self._faces[order]
@@ -295,7 +295,7 @@ class LidarScanner:
 def _rays(
     origins: ArrayLike, directions: ArrayLike, max_m: ArrayLike
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], tuple[int, ...]]:
-    """Origins [N, 3], directions [N, 3] and limits [N] for Embree, and the shape [...]; NaN rays get a limit of 0."""
+    """Return origins [N, 3], directions [N, 3] and limits [N] for Embree, and the shape; NaN rays have limit 0."""
     o, d = np.broadcast_arrays(np.asarray(origins, np.float64), np.asarray(directions, np.float64))
     if o.ndim == 0 or o.shape[-1] != 3:
         raise InputError(

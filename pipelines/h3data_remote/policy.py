@@ -31,7 +31,7 @@ MOST_METADATA = 4096
 """Largest size of a server's metadata, as JSON, that is recorded [bytes]; of larger metadata only the digest is
 recorded."""
 _ANSWERED: set[str] = set()
-"""Servers that have answered this process before, so that they need not compile any more."""
+"""Servers that have answered this process before, so that they have already compiled."""
 
 
 def policy_server(address: str, task: Any, kind: str, spec: Any = None) -> PolicyMaker:
@@ -306,7 +306,7 @@ class RemotePolicy:
 
 
 def _joined(requests: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Nested requests of one world each as one of all, along the first axis of arrays and lists."""
+    """Return nested requests of one world each as a request of all, along the first axis of arrays and lists."""
     first = requests[0]
     joined: dict[str, Any] = {}
     for key, value in first.items():

@@ -175,7 +175,7 @@ def adapter_of_network(network: Network | VisualPolicy) -> Adapter:
 
 
 class _Player:
-    """Answers the requests of one episode."""
+    """Player of one episode, which answers its requests."""
 
     def __init__(self, served: ServedPolicy) -> None:
         self._served, self._policy, self._episode, self._calls = served, None, None, 0
@@ -272,7 +272,7 @@ class Sessions:
 
 
 def _converse(connection: ServerConnection, sessions: Sessions, metadata: bytes) -> None:
-    """Answer one client until it goes, or send what cannot be answered."""
+    """Answer one client until it leaves, or send what cannot be answered."""
     connection.send(metadata)
     nameless, total_ms = sessions.player(), None
     while True:

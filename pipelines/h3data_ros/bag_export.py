@@ -65,7 +65,7 @@ class _RobotScan(NamedTuple):
     first_rad: float
     """Angle of the first ray from straight ahead, positive to the left; the others follow to the left."""
     most_m: float
-    """Greatest distance that can be measured."""
+    """Greatest distance that the scanner can measure [m]."""
 
 
 class _Described(NamedTuple):
@@ -202,20 +202,20 @@ class _Mover:
 
     number: int
     name: str
-    """Its name in topics and frames."""
+    """Name of the mover in topics and frames."""
     frame: str
     poses: NDArray[np.float64]
-    """In the frame ``map`` [T, 7]."""
+    """Poses in the frame ``map`` [T, 7]."""
     velocity: NDArray[np.float64]
-    """In the frame ``map`` since the row before [T, 2] [m/s]; 0 where unknown."""
+    """Velocity in the frame ``map`` since the row before [T, 2] [m/s]; 0 where unknown."""
     turning: NDArray[np.float64]
     """Turn to the left since the row before [T] [rad/s]; 0 where unknown."""
     known: NDArray[np.bool_]
-    """Rows in which it is there [T]."""
+    """Rows in which the mover is present [T]."""
 
 
 class _Export:
-    """One bag while it is written; messages come in the order of their times."""
+    """Bag that is being written, with messages in the order of their times."""
 
     def __init__(self, recording: Recording, bag: Writer, cameras: Sequence[BagCamera], lidar_rays: int) -> None:
         self._recording, self._bag, self._cameras = recording, bag, cameras
@@ -535,7 +535,7 @@ class _Export:
         )
 
     def _joints(self) -> dict[str, NDArray[np.float64]]:
-        """Poses in ``map`` [T, 7] of the joints of people with a built-in body, by frame: as replays pose them."""
+        """Return poses in ``map`` [T, 7] of the joints of people with a built-in body, by frame, as in replays."""
         found = dict[str, NDArray[np.float64]]()
         people = [person for person in self._people if self._recording.agents[person.number].model]
         try:
@@ -555,7 +555,7 @@ class _Export:
         return found
 
     def _things(self) -> dict[str, NDArray[np.float64]]:
-        """Poses in ``map`` [T, 7] of the things that move in the recording, by frame."""
+        """Return the poses in ``map`` [T, 7] of the things that move in the recording, by frame."""
         poses = self._recording.columns.get("object_pose", np.zeros((len(self._times), 0, 7)))
         bodies = [
             body for body in self._recording.moving_bodies if (poses[:, body.moving] != poses[:1, body.moving]).any()
@@ -588,7 +588,7 @@ class _Export:
         return _Described(urdf, robot_links(model, joints, prefix))
 
     def _command(self, robot: _Mover, step: int) -> tuple[float, float] | None:
-        """Commanded speed [m/s] and turn [rad/s] that led to a row, None if the recording does not tell them in these units."""
+        """Return the commanded speed [m/s] and turn [rad/s] that led to a row; None if they were not recorded."""
         agent, action = self._recording.agents[robot.number], f"agent_{robot.number}.action"
         spec = self._recording.episode.info.get("spec")
         body = spec.get("robot") if isinstance(spec, Mapping) else None

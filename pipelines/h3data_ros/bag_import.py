@@ -98,11 +98,11 @@ class _Bag:
         self._stores: dict[str, Any] = {}
 
     def topics(self, *kinds: str) -> list[str]:
-        """Topics with messages of some types, those of the first type first."""
+        """Return the topics with messages of some types, those of the first type first."""
         return [topic for kind in kinds for topic, its in sorted(self.kinds.items()) if its == kind]
 
     def messages(self, topics: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
-        """Topic, time of recording [ns] and message, in the order of the bag."""
+        """Yield topic, time of recording [ns] and message, in the order of the bag."""
         chosen = [connection for connection in self._reader.connections if connection.topic in topics]
         if not chosen:
             return
@@ -125,7 +125,7 @@ class _Bag:
         return message
 
     def _store(self, connection: Connection) -> Any:
-        """Types by the definition in the bag, or those of Humble where it has none, as bags before Iron."""
+        """Return the types by the definition in the bag, or those of Humble where it has none, as bags before Iron."""
         from rosbags.interfaces import MessageDefinitionFormat
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -373,7 +373,7 @@ def _in_root(frames: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray
 
 
 def _upright(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World poses at the floor of poses in the root; unknown quaternions stay so."""
+    """Return the world poses at the floor of poses in the root; unknown quaternions stay so."""
     world = pose_from_ros(poses)
     known = np.isfinite(world[:, 3:]).all(axis=1) & (np.abs(world[:, 3:]).sum(axis=1) > 0.5)
     upright = np.full(world.shape, np.nan)

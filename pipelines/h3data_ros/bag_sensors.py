@@ -125,7 +125,7 @@ class _Empty:
     """Directions in which a scanner measured and met nothing."""
 
     rays: NDArray[np.float64]
-    """Unit vectors [N, 3]."""
+    """Directions of the rays as unit vectors [N, 3]."""
     most: float
     """Range of the scanner [m]."""
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.geometry import quat_from_axis_angle
 
 FROM_WORLD = np.array([0, 0, 0, *quat_from_axis_angle([1.0, 0, 0], np.pi / 2)])
-"""Pose7 of h3data's world in the frame ``map``, and of an agent's root in ``base_footprint``: a rotation about x."""
+"""Pose [7] of h3data's world in the frame ``map``, and of an agent's root in ``base_footprint``: a rotation about x."""
 _UNSAFE = re.compile(r"[^A-Za-z0-9_]+")
 
 

@@ -28,7 +28,8 @@ RECTANGLES_MAX = 100_000
 WALL_M = 2.5
 """Height of walls [m]."""
 CLOSED_M = 0.3
-"""Gaps in a floor up to this wide would be closed (`h3data.scene.freespace`), so that unknown cells there need a border [m]."""
+"""Largest width of gaps in a floor that would be closed (`h3data.scene.freespace`) [m]; unknown cells there need a
+border."""
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
 
@@ -162,7 +163,7 @@ def scene_of_map(grid: OccupancyMap, name: str) -> Scene:
 
 
 def _rectangles(mask: NDArray[np.bool_], grid: OccupancyMap) -> NDArray[np.float64]:
-    """World rectangles ``x0 z0 x1 z1`` [R, 4] that cover a mask [rows, columns]."""
+    """Return the world rectangles ``x0 z0 x1 z1`` [R, 4] that cover a mask [rows, columns]."""
     row0, column0, row1, column1 = mask_rectangles(np.ascontiguousarray(mask)).T
     x, y = grid.origin
     r = grid.resolution
@@ -206,7 +207,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 
 
 def _read_picture(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Grey values [rows, columns] and where the picture is not transparent."""
+    """Return the grey values [rows, columns] and where the picture is not transparent."""
     from PIL import Image
 
     try:

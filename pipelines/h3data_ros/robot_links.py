@@ -14,7 +14,7 @@ from h3data_ros.frames import FROM_WORLD
 FOOTPRINT, BASE = "base_footprint", "base_link"
 BLOCK = 256
 Edge = tuple[str, str, NDArray[np.float64]]
-"""Edge of the frame tree: parent frame, child frame and pose7 of the child in the parent."""
+"""Edge of the frame tree: parent frame, child frame and pose [7] of the child in the parent."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

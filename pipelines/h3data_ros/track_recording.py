@@ -339,7 +339,7 @@ def on_floor(poses: Array) -> Array:
 
 
 def _offset(tracks: Sequence[Track]) -> Array:
-    """Whole metres by which the world is moved, so that float32 tells millimetres."""
+    """Return the whole metres by which the world is moved, so that float32 resolves millimetres."""
     places = np.concatenate([track.poses[:, :3] for track in tracks])
     middle = np.median(places[:, [0, 2]], axis=0)
     if np.abs(middle).max() < FAR_M:

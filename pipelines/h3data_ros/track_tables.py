@@ -30,7 +30,7 @@ EPOCH_S = 1e8
 MAGNI_HZ = 100.0
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?nan\s*", re.IGNORECASE)
 _HEADER_LINES = 200
-"""A table of THÖR-MAGNI begins with lines about the file."""
+"""Largest number of lines about the file before the header of a THÖR-MAGNI table."""
 _MARKER = re.compile(r"(?P<body>\S+) (?:Centroid_|- \d+ )(?P<axis>[XY])$")
 
 
@@ -198,7 +198,7 @@ def _id(text: str) -> str:
 
 
 def _trajnet(lines: Sequence[str], path: object) -> TrackTable:
-    """TrajNet++: a JSON object a line, ``{"track": {"f": frame, "p": person, "x": x, "y": y}}``, after scenes with ``fps``."""
+    """Read TrajNet++: an object a line, ``{"track": {"f": frame, "p": person, "x": x, "y": y}}``, after the scenes."""
     tracks: list[tuple[float, str, float, float]] = []
     rates: set[float] = set()
     for number, line in enumerate(lines, 1):
@@ -227,7 +227,7 @@ def _trajnet(lines: Sequence[str], path: object) -> TrackTable:
 
 
 def _magni(text: str, robot: str, path: object) -> TrackTable:
-    """THÖR-MAGNI: a row a frame at 100 Hz, columns ``Helmet_1 Centroid_X`` or of markers ``Helmet_1 - 1 X`` [mm]."""
+    """Read THÖR-MAGNI: a row a frame at 100 Hz, columns ``Helmet_1 Centroid_X`` or markers ``Helmet_1 - 1 X`` [mm]."""
     from pyarrow import ArrowInvalid, csv
 
     delimiter = "\t" if "\t" in text.partition("\n")[0] else ","

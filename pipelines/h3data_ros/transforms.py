@@ -41,7 +41,7 @@ class TransformTree:
         return frame in self._edges or any(edge.parent == frame for edge in self._edges.values())
 
     def add(self, parent: str, child: str, time_ns: int, pose: tuple[float, ...], *, still: bool = False) -> None:
-        """Add the pose7 of a frame in its parent at a time [ns]; static (``still``) ones are valid at all times."""
+        """Add the pose [7] of a frame in its parent at a time [ns]; static (``still``) ones are valid at all times."""
         edge = self._edges.get(child)
         # a frame has one parent for the whole bag, the last one received; poses in other parents are dropped
         if edge is None or edge.parent != parent:

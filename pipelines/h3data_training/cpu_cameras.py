@@ -51,7 +51,10 @@ class CpuCameras:
         self._state, self._homes = WorldState.zeros(0), np.zeros(0, int)
 
     def pose(self, robot: RobotTensors, human: HumanTensors, *, place: Tensor | None = None) -> None:
-        """Set the poses of robots and people in all worlds, with the interface of `TensorCameras.pose`."""
+        """Set the poses of robots and people in all worlds.
+
+        The interface is that of `h3data_training.torch.cameras.TensorCameras.pose`.
+        """
         state = WorldState.zeros(len(robot.heading), joints=[len(self._bodies[0].rest)])
         robot.put(state.robots[0])
         human.put(state.people[0])
@@ -59,7 +62,7 @@ class CpuCameras:
         self._state, self._homes = state, np.zeros(state.worlds, int) if place is None else place.numpy().copy()
 
     def picture(self, view: str, outputs: Sequence[Output]) -> dict[str, Tensor]:
-        """Render all worlds on the CPU, with the interface of `TensorCameras.picture`."""
+        """Render all worlds on the CPU, with the interface of `h3data_training.torch.cameras.TensorCameras.picture`."""
         sensor = CameraSensor(camera=view, outputs=tuple(outputs), size=self._size)
         light: LightMode = self._light if "rgb" in outputs else "flat"
         return stacked(sensor, (self._posed(w, home, light) for w, home in enumerate(self._homes.tolist())))

@@ -62,7 +62,7 @@ class ActionRepeat:
         return shown, self.gain, self.over, self.timed_out, self.idle
 
     def _eager(self) -> None:
-        """An action of all worlds and what it shows, in place."""
+        """Carry out an action of all worlds and show its result, in place."""
         raise NotImplementedError
 
     def _result(self) -> dict[str, Tensor]:
@@ -78,7 +78,7 @@ class ActionRepeat:
         self._action.zero_()
 
     def _hold_action(self) -> None:
-        """`hold` steps of all worlds, in place."""
+        """Make `hold` steps of all worlds, in place."""
         play = self.play
         idle, timed_out = play.ended.clone(), play.ended & play.truncated
         live, inside = ~idle, torch.zeros_like(idle)
@@ -109,7 +109,7 @@ class ActionRepeat:
         raise NotImplementedError
 
     def _long_enough(self) -> Tensor | None:
-        """Worlds whose episodes are cut short as if their time were over, bool [W]; None: none are."""
+        """Return the worlds whose episodes are cut short as if their time were over, bool [W]; None if none are."""
         return None
 
     def _counted(self, before: Any, live: Tensor, ends: Tensor) -> list[Tensor]:

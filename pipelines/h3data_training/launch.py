@@ -114,7 +114,7 @@ class _Asked:
 
 
 def _work(work: Work, file: Path, variables: dict[str, Any], asked: Event, pipe: Connection) -> None:
-    """A process from its start to its end."""
+    """Run a process from its start to its end."""
     assert threading.current_thread() is threading.main_thread()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # Ctrl-C reaches all processes; the first one decides
         signal.signal(number, signal.SIG_IGN)

@@ -148,7 +148,7 @@ class Learner:
         self._row = torch.zeros(1, dtype=torch.int64, device=device)
         """Row of the buffers that the next decision fills."""
         self._shown = worlds.shown if settings.teacher > 0 and worlds.shown is not None and worlds.shown.any() else None
-        """Worlds in which the teacher acts, bool [W]; None: it acts in none."""
+        """Worlds in which the teacher acts, bool [W]; None if it acts in none."""
         self._decide = {taught: self._decision(taught) for taught in {False, settings.teacher > 0}}
 
     def update(self, plan: Schedule) -> dict[str, float]:
@@ -182,7 +182,7 @@ class Learner:
         return found | ({"pixels": self.net.pixels(shown[self.net.sees])} if self.net.sees else {})
 
     def _decision(self, taught: bool) -> Callable[[], None]:
-        """`_decided`, on a GPU as one CUDA graph: network, worlds, pictures and buffers."""
+        """Make the decision of `_decided`, on a GPU as one CUDA graph: network, worlds, pictures and buffers."""
 
         def decide() -> None:
             self._decided(taught)
@@ -208,7 +208,7 @@ class Learner:
         return self._inputs(self._over)
 
     def _decided(self, taught: bool) -> None:
-        """A decision of all worlds and what it led to, written into memory and a row of the buffers."""
+        """Make a decision of all worlds, and write it and its result into memory and a row of the buffers."""
         s, m, std = self.settings, self.memory, self.net.std()
         x = self._inputs(self._over)
         mean, state = self.net.step(x.get("pixels"), x["numbers"], m.state)
@@ -239,7 +239,7 @@ class Learner:
 
     @torch.no_grad()
     def _advantages(self, last: dict[str, Tensor], gamma: float) -> tuple[Tensor, Tensor, float]:
-        """Generalised advantage estimates (Schulman et al. 2016), scaled; targets of the critic; how much it explains.
+        """Return scaled advantage estimates (Schulman et al. 2016), targets of the critic, and its explained variance.
 
         A truncated episode would have gone on as it was.
         """

@@ -129,7 +129,7 @@ class _Job:
     name: str
     bank: Bank | None
     began: float
-    """By the clock on the wall, which all processes see [s]."""
+    """Start of the job by the wall clock, which all processes see [s]."""
 
     def load_checkpoint(self) -> dict[str, Any] | None:
         """Return the checkpoint to go on from."""
@@ -208,7 +208,7 @@ class _Run:
         say(f"{self.settings.worlds} worlds on {about} after {self.setup_s:.0f} s")
 
     def elapsed(self) -> float:
-        """Seconds of this call."""
+        """Return the seconds of this call."""
         return time.time() - self.job.began
 
     @property
@@ -286,7 +286,10 @@ class _Run:
 
     # --- files ------------------------------------------------------------------------------------------------------------
     def _save(self, *, is_last: bool) -> None:
-        """Checkpoint, curve and policy, each whole or not at all. A disk that is full ends the run only at its end."""
+        """Save checkpoint, curve and policy, each completely or not at all.
+
+        A full disk ends the run only at its end.
+        """
         kept = {
             "format": checkpoints.FORMAT,
             "settings": self.settings.as_dict(),

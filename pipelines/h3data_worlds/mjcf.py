@@ -59,7 +59,7 @@ _RUNNING = {"memory", "nstack", "njmax", "nconmax"}
 _MAKERS = ("replicate", "composite", "flexcomp", "plugin")
 _FORMAT = 2
 _DRAWN_GROUPS = 3
-"""Groups 0 to 2 are those that MuJoCo's viewer draws; many robots have their collision shapes in group 3."""
+"""Number of geom groups that MuJoCo's viewer draws, 0 to 2; many robots have their collision shapes in group 3."""
 
 
 def read_mjcf(path: str | Path, *, warn: bool = True) -> Urdf:
@@ -141,7 +141,7 @@ def mjcf_files(path: Path) -> list[Path]:
 
 @dataclass
 class _Scan:
-    """Reads the XML of a model and of what it includes, before MuJoCo does."""
+    """Reader of the XML of a model and its included files, before MuJoCo reads them."""
 
     main: Path
     models: list[Path] = field(default_factory=list)
@@ -313,7 +313,7 @@ class _Reader:
         return next(link.name for link in links if link.name not in below)
 
     def _chain(self, b: int, root: int) -> Iterator[tuple[UrdfLink | None, UrdfJoint | None]]:
-        """Links and joints that lead to the frame of a body: one joint each, and a link where the frame is not at an anchor.
+        """Yield link and joints that lead to the frame of a body, with a link if the frame is not at an anchor.
 
         As `mj_kinematics`: joints turn one after the other about their anchors, in the axes that those before have turned.
         """
@@ -425,7 +425,7 @@ class _Reader:
         return self.mj.mjtGeom(int(self.m.geom_type[g])).name.removeprefix("mjGEOM_").lower()
 
     def _drawn(self, b: int) -> list[int]:
-        """Geoms of a body that are drawn: those that touch nothing, else those of the groups that MuJoCo shows."""
+        """Return the visible geoms of a body: those that touch nothing, else those of the groups that MuJoCo shows."""
         seen = [g for g in self._geoms(b) if float(self._rgba(g)[3]) > 0]
         pure = [g for g in seen if not self._collides(g)]
         return pure or [g for g in seen if int(self.m.geom_group[g]) < _DRAWN_GROUPS]
@@ -566,7 +566,7 @@ def _rotation(axis: Array, angle: float) -> Array:
 
 
 def _matrix(position: Array, quaternion: Array) -> Array:
-    """4x4 of a position and a quaternion wxyz, as MuJoCo has them."""
+    """Return the 4x4 matrix of a position and a quaternion wxyz, as MuJoCo has them."""
     w, x, y, z = np.asarray(quaternion, np.float64) / max(float(np.linalg.norm(quaternion)), 1e-12)
     return np.asarray(pose_to_matrix(np.array([*position, x, y, z, w], np.float64)), np.float64)
 

@@ -183,7 +183,7 @@ def _is_house(path: Path) -> bool:
 
 
 def _sizes(folders: Sequence[Path]) -> dict[str, NDArray[np.float64]]:
-    """Sizes x, y, z [m] of assets, of the first database that has them."""
+    """Return the sizes x, y, z [m] of assets, of the first database that has them."""
     found: dict[str, NDArray[np.float64]] = {}
     for folder in folders:
         if (folder / DATABASE).is_file():
@@ -196,7 +196,7 @@ def _sizes(folders: Sequence[Path]) -> dict[str, NDArray[np.float64]]:
 
 
 def _entries(document: Any) -> Iterator[Mapping[str, Any]]:
-    """The records with an id and a box, in whatever lists and tables they are."""
+    """Yield the records with an id and a box, in whatever lists and tables they are."""
     left = [document]
     while left:
         one = left.pop()
@@ -209,7 +209,7 @@ def _entries(document: Any) -> Iterator[Mapping[str, Any]]:
 
 
 def _all_things(things: Sequence[_Thing]) -> Iterator[_Thing]:
-    """Objects and those on and in them; all are in the frame of the house."""
+    """Yield objects and those on and in them; all are in the frame of the house."""
     for thing in things:
         yield thing
         yield from _all_things(thing.children)
@@ -224,7 +224,7 @@ def _plan(points: Sequence[_Point]) -> NDArray[np.float64]:
 
 
 def _rectangles(polygon: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rectangles ``x0 z0 x1 z1`` [R, 4] that cover a polygon of right angles [N, 2].
+    """Return the rectangles ``x0 z0 x1 z1`` [R, 4] that cover a polygon of right angles [N, 2].
 
     The lines through its corners cut it into cells; cells beside each other in x become one rectangle.
     """
@@ -252,7 +252,7 @@ def _is_inside(polygon: NDArray[np.float64], x: float, z: float) -> bool:
 
 
 def _building(house: _House, rooms: Sequence[Room]) -> tuple[dict[str, Asset], list[Instance]]:
-    """Floors, and walls with the holes of doors and windows."""
+    """Return floors, and walls with the holes of doors and windows."""
     assets: dict[str, Asset] = {}
     instances: list[Instance] = []
 
@@ -302,7 +302,10 @@ _Hole = tuple[NDArray[np.float64], NDArray[np.float64], float, float]
 
 
 def _holes(opening: _Opening, walls: Mapping[str, _Hole]) -> Iterator[_Hole]:
-    """The hole of a door or window. Its x is the distance along ``wall0`` from the first of the wall's lower corners."""
+    """Yield the hole of a door or window.
+
+    The x of the hole is the distance along ``wall0`` from the first of the wall's lower corners.
+    """
     if opening.wall0 in walls and len(opening.hole_polygon) >= 2:
         one, other, low, _ = walls[opening.wall0]
         along = (other - one) / max(float(np.hypot(*(other - one))), 1e-9)
@@ -380,7 +383,7 @@ def _name(identity: str) -> str:
 
 
 def _words(name: str) -> str:
-    """``LivingRoom`` becomes ``living_room``."""
+    """Return a name in words, such as ``living_room`` for ``LivingRoom``."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", _name(name)).lower()
 
 

@@ -220,7 +220,7 @@ def _cameras(robot: Robot, hand: Hand | None, frames: Array, resting: Array) -> 
 
 
 def _free_ahead(robot: Robot, frames: Array, link: int, forward: Array) -> float:
-    """Distance ahead of a link's origin beyond which no part of the robot is in front of a camera [m].
+    """Return the distance ahead of a link's origin beyond which no part of the robot is in front of a camera [m].
 
     With boxes instead of meshes, a robot's own camera is often inside its head.
     """
@@ -243,7 +243,7 @@ def _free_ahead(robot: Robot, frames: Array, link: int, forward: Array) -> float
 
 
 def _over_the_hand(robot: Robot, hand: Hand) -> tuple[Array, Array]:
-    """Position and viewing direction of a camera above a hand, in its link's frame.
+    """Return the position and viewing direction of a camera above a hand, in its link's frame.
 
     Between the fingers, where things are held, it would see nothing but these.
     """
@@ -276,7 +276,7 @@ def _camera(
 
 # --- links ------------------------------------------------------------------------------------------------------------
 def _chain(robot: Robot, link: int) -> list[int]:
-    """Links from the base to a link."""
+    """Return the links from the base to a link."""
     chain = []
     while link >= 0:
         chain.append(link)
@@ -285,7 +285,7 @@ def _chain(robot: Robot, link: int) -> list[int]:
 
 
 def _moved_by(robot: Robot, hand: Hand) -> set[int]:
-    """Links that move with the first joint of the arm that turns, and all that hang on them: a lift is part of the body."""
+    """Return links that move with the first turning joint of the arm and all below; a lift belongs to the body."""
     turning = next((k for k in _chain(robot, hand.link) if robot.kinds[k] == 1), hand.link)
     moved: set[int] = set()
     for k, link in enumerate(robot.links):

@@ -94,7 +94,7 @@ class _Cost:
 
 
 def _outline(robot: Robot, link: int) -> NDArray[np.float64]:
-    """Corners and centres [N, 3] of the boxes around a link's shapes, in its frame; its origin without any."""
+    """Return corners and centres [N, 3] of the boxes around a link's shapes, in its frame; its origin without any."""
     bounds = [shape_bounds(shape, np.eye(4)) for shape in robot.links[link].shapes]
     if not bounds:
         return np.zeros((1, 3))

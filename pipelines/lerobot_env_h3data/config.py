@@ -35,7 +35,7 @@ class H3DataEnvConfig(EnvConfig):
     render_mode: str = "rgb_array"
 
     def __post_init__(self) -> None:
-        """Read from the dataset how wide states and actions are and how large pictures.
+        """Read the widths of states and actions, and the size of pictures, from the dataset.
 
         Raises:
             InputError: the dataset cannot be played.

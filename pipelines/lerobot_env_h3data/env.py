@@ -28,7 +28,7 @@ class LeRobotEnv(gymnasium.Env[Any, Any]):
     def __init__(
         self, dataset: str | os.PathLike[str], *, render_mode: str | None = "rgb_array", **options: Any
     ) -> None:
-        """Arguments are those of `DatasetEnv`.
+        """Create the environment; the arguments are those of `DatasetEnv`.
 
         Raises:
             InputError: the dataset cannot be played.

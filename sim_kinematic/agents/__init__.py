@@ -1,1 +1,1 @@
-"""Robots and people under control: who takes part, how they move, reach, pick and place."""
+"""Robots and people under control: the roster of agents, and how they move, reach, pick and place."""

@@ -1,8 +1,8 @@
-"""Room beside a person for the arms, and how far it makes them draw each arm in towards the body.
+"""Room for the arms beside a person, and the degree to which the person folds each arm towards the body.
 
-A line runs along each side of the person, forward and back. An obstacle near the line draws the arm in: fully beside
-the person, and less the farther ahead or behind it is. So an arm starts to come in before the person reaches a door
-post, and swings out again after it.
+A line runs along each side of the person, forward and back. An obstacle near the line causes the arm to fold: fully if
+it is beside the person, and less the farther ahead or behind it is. An arm therefore starts to fold before the person
+reaches a door post, and swings out again after it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ advance."""
 
 @kernel(error_model="numpy")
 def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, free, tight, within, fade, step):
-    """One step of all arms [W, 2], in place: each goes by at most ``rate`` towards how far its line asks for, 0..1.
+    """Move all arms [W, 2] by one step in place, each by at most ``rate`` towards the value for its line, 0..1.
 
     Distances differ by no more than the path between two points, so where there is room a line is followed by as much. What
     it asks for is the most of its looks. A line is left as soon as no further look can change the arm.
@@ -123,7 +123,10 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
 
 @kernel(error_model="numpy")
 def draw_in_planted(sdf, origin, cell, xz, heading, arms, busy, room, quats):
-    """Move the arms of people with planted feet by one step as `draw_arms`, and fold them in the poses [W, 55, 4]."""
+    """Move the arms of people with planted feet by one step, and fold them in the poses [W, 55, 4].
+
+    The rules are those of `draw_arms`.
+    """
     _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, *room)
     tuck_all(quats, arms, SHOULDERS, CLOSE_SHOULDERS)
     tuck_all(quats, arms, COLLARS, CLOSE_COLLARS)

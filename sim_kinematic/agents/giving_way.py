@@ -1,6 +1,6 @@
 """Mutual attention of the agents of one world: how they observe each other, give way, and touch.
 
-Agents move one after the other. It is used by agents with skills and by agents that wander
+Agents move one after the other. The module is used by agents with skills and by agents that wander
 (`sim_kinematic.policies.traffic`).
 """
 
@@ -93,9 +93,9 @@ class GivingWay:
         self._acted: set[int] = set()
         """Agents that have acted in this step."""
         self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
-        """Place of each agent; of the one whose turn it is, before that."""
+        """Place of each agent; for the agent whose turn it is, the place before that."""
         self._seen: dict[int, ObservedAgent] = {}
-        """Agents as others see them, for those whom somebody has looked at since they last acted."""
+        """Agents as others see them, computed for agents that others have observed since their last action."""
         self._settled = np.zeros(len(actors), np.bool_)
 
     @cached_property

@@ -26,7 +26,10 @@ from sim_kinematic.motion.step import first_not_finite
 # --- the robot's arm ----------------------------------------------------------------------------------------------------
 @kernel(error_model="numpy")
 def step_joint(position, command, most, lower, upper):
-    """Return a joint position after one step: ``command`` times ``most``, clipped to the limits [rad or m]."""
+    """Return a joint position [rad or m] after one step, within its limits.
+
+    The joint moves by ``command``, clipped to -1..1, times ``most``.
+    """
     return min(max(position + min(max(command, -1.0), 1.0) * most, lower), upper)
 
 

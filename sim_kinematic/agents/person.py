@@ -189,7 +189,7 @@ class Person:
         """Position on the floor [2] [m], a view."""
         # place and heading are the state's own arrays, so they follow it without copies
         self._drawn = replace(self.state, arms=np.zeros((1, 2)))
-        """The same place, and how far the arms are folded in."""
+        """Same place, and how far the arms are folded in."""
         self.tilts: dict[Hand, float] = {"left": 0.0, "right": 0.0}
         """Share of the hand's tilt by which a held thing turns, 0 (it stays upright) to 1."""
         self._close: dict[Hand, float] = {"left": 0.0, "right": 0.0}
@@ -213,7 +213,7 @@ class Person:
         self._closing: dict[Hand, float] = {}
         self._carry_arms: dict[Hand, Array] = {}
         self._carried: dict[Hand, tuple[float, Array]] = {}
-        """Rotations of arms that hold something out, and as close to the body as they were last."""
+        """Rotations of arms that hold something out, and at their last closeness to the body."""
         self._stand()
 
     @property
@@ -478,7 +478,7 @@ class Person:
         return np.array(CARRY) * (1, 1, side) * reacher(self.body, hand).body.scale
 
     def _path_out(self, hand: Hand, target: Array) -> Array:
-        """Corners of the hand's way from hanging to a target: in front of the chest first, unless the target is low."""
+        """Return corners of the hand's way to a target: in front of the chest first, unless the target is low."""
         rest = reacher(self.body, hand).rest
         return np.stack([rest, target] if target[1] < rest[1] else [rest, self._carry_point(hand), target])
 
@@ -508,7 +508,7 @@ class Person:
     def _line(
         self, hand: Hand, corners: Array, ends: tuple[float, float], arms: tuple[float, float], slower: float = 1.0
     ) -> tuple[ReachPoses, Array]:
-        """The poses of `_move` and the way [T] [m] gone at each."""
+        """Return the poses of `_move` and the way [T] [m] covered at each."""
         legs = np.linalg.norm(np.diff(corners, axis=0), axis=1)
         points, done = [], []
         for k, leg in enumerate(legs):
@@ -572,7 +572,7 @@ class Person:
         self.transition = fade
 
     def _attend(self, quats: Array, pelvis: Array) -> Array:
-        """Moves fingers, head and eyes by one step; returns the pose with them, which is a copy if it differs."""
+        """Move fingers, head and eyes by one step; return the pose with them, which is a copy if it differs."""
         curls = self.curl.tolist()
         for k, hand in enumerate(HANDS):
             held = self.held.get(hand)
@@ -599,7 +599,7 @@ class Person:
         return min(2 * math.atan(FINGER_M / 2 / (radius + FINGER_HALF)) - REST_CURL, CURL_MOST)
 
     def _look(self, point: Array) -> Generator[None, None, None]:
-        """Turns head and eyes to a world point [3], and waits until they are nearly there."""
+        """Turn head and eyes to a world point [3], and wait until they are nearly there."""
         self.look_at = np.array(point, np.float64)
         for _ in range(LOOK_STEPS):
             if self.transition.kind == "reach":  # breathing would move a hand that carries off the start of its line
@@ -634,7 +634,7 @@ class Person:
         return quats
 
     def _wanted_close(self, hand: Hand, moving: Hand | None = None) -> float:
-        """Returns how close to the body a hand should carry an object, 0 if it holds nothing or moves."""
+        """Return how close to the body a hand should carry an object, 0 if it holds nothing or moves."""
         rules = self.spec.arms
         if self.free is None or rules is None or hand == moving or hand not in self.held:
             return 0.0
@@ -645,7 +645,7 @@ class Person:
         return max(wanted, float(self._drawn.arms[0, k]))
 
     def _take_close(self, hand: Hand) -> Generator[None, None, None]:
-        """Stands until what a hand has taken is as close to the body as the room for turning and walking asks for."""
+        """Stand until the object in hand is as close to the body as turning and walking require."""
         for _ in range(FADE_STEPS):
             if self._wanted_close(hand) <= self._close[hand] + CLOSE_ENOUGH:
                 return
@@ -653,7 +653,7 @@ class Person:
             yield
 
     def _carry_arm(self, hand: Hand) -> tuple[NDArray[np.integer], Array]:
-        """Joints [4] of an arm that carries something, and their rotations [4, 4] as close to the body as it is now."""
+        """Return joints [4] of an arm that carries something, and their rotations [4, 4] at its present closeness."""
         k, close = HANDS.index(hand), self._close[hand]
         joints = CARRY_JOINTS[k]
         if hand not in self._carry_arms:
@@ -665,7 +665,7 @@ class Person:
 
 
 def _blended(a: Array, b: Array, share: float) -> Array:
-    """Returns rotations [J, 4] blended by a share, 0 (a) to 1 (b)."""
+    """Return rotations [J, 4] blended by a share, 0 (a) to 1 (b)."""
     out = np.empty(a.shape)
     Person.call(blend_pose, a, b, float(share), out)
     return out
@@ -701,7 +701,7 @@ def joint_steps(quats: Array) -> Array:
 
 
 def _eased(way: Array, ends: tuple[float, float]) -> Array:
-    """Weights [T] that go over between ``ends`` and 1 within `EASE_M` of either end of the way [T] [m]."""
+    """Return the weights [T] that go over between ``ends`` and 1 within `EASE_M` of either end of the way [T] [m]."""
     # both eases have to fit into a short way; one of no length needs a divisor other than 0
     ease = min(EASE_M, way[-1] / 2) or 1.0
     weight = np.ones_like(way)

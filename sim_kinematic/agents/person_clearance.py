@@ -85,7 +85,7 @@ class BodyClearance:
         )
 
     def _capsules(self, base: Array, point: Array, hand: Hand) -> NDArray[np.floating]:
-        """Frames of the capsules on a hand's ways there, empty and full, in the root frame, [T, C, 4, 4]; last at the point.
+        """Return frames of the capsules on a hand's ways, empty and full, in the root frame, [T, C, 4, 4].
 
         Stands on one ring round the point share them.
         """
@@ -111,7 +111,7 @@ class BodyClearance:
 
 @lru_cache(maxsize=8)
 def _hand_paths(body: Humanoid) -> dict[tuple[Hand, tuple[float, ...]], Array]:
-    """Cache of the paths of a body's hands for `BodyClearance._capsules`, shared by all homes."""
+    """Return the cache of the paths of a body's hands for `BodyClearance._capsules`, shared by all homes."""
     # only the key of the cache
     del body
     return {}

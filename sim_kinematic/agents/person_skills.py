@@ -166,7 +166,7 @@ class PersonActor:
         return ""
 
     def _cannot_hold(self, k: int) -> str:
-        """Reason why no hand gets to a handle from here."""
+        """Return the reason why no hand can reach a handle from here."""
         assert self.openables is not None
         handle = self.openables.handles(self.openables.positions)[k]
         stand = np.append(self.xz, self.heading)
@@ -204,7 +204,7 @@ class PersonActor:
         return SkillResult("done")
 
     def _hands(self, k: int) -> tuple[Hand, ...]:
-        """The hand that holds an object, else both in the order in which they are tried."""
+        """Return the hand that holds an object, else both hands in the order in which they are tried."""
         holding: list[Hand] = [hand for hand, held in self.person.held.items() if held.name == self.objects.names[k]]
         return tuple(holding) or HANDS
 
@@ -261,7 +261,7 @@ class PersonActor:
         self.free = self.person.free = free
 
     def _clear_of_open(self, stands: Array) -> Array:
-        """Stands that are out of the doors and drawers that stand open."""
+        """Return the stands that are clear of open doors and drawers."""
         if self.openables is None:
             return stands
         return stands[stands_clear(stands, self.openables.open_points(), (0.0,), AVOIDANCE.person.radius_m)]
@@ -322,7 +322,7 @@ class PersonActor:
             yield
 
     def _walk(self, goal: NDArray, *, facing: float | None = None) -> Generator[None, None, int]:
-        """Walks to a floor point [2] without stopping.
+        """Walk to a floor point [2] without stopping.
 
         The person turns on the spot at corners (paper 3.1), or walks curves as `WalkerSpec.stride` says, which end at
         the heading ``facing`` [rad]. Returns the number of steps for which they waited for other agents at the end.
@@ -366,7 +366,7 @@ class PersonActor:
         return waited
 
     def _walk_curves(self, goal: NDArray, facing: float | None) -> Generator[None, None, int]:
-        """Walks to a floor point as `_walk`, braking where the person has to wait."""
+        """Walk to a floor point like `_walk`, but brake where the person has to wait."""
         strider = Strider(self.free, self.spec, halts=True)
         path, waited, left = self._path(goal), 0, False
         if path is None:
@@ -403,7 +403,7 @@ class PersonActor:
         return waited
 
     def _stride(self, strider: Strider, *, goes: bool) -> None:
-        """One step along a path; where they would touch somebody they come to a stand."""
+        """Make one step along a path; stop where it would touch another agent."""
         gait, before = self._gait_here(), self._posture()
         was = strider.walk(gait, goes=goes)
         self.person.stride(gait)
@@ -418,7 +418,7 @@ class PersonActor:
         self._follow()
 
     def _path(self, goal: NDArray) -> NDArray[np.float64] | None:
-        """Waypoints [N, 2] to a floor point [2]; None: there is no path."""
+        """Return the waypoints [N, 2] to a floor point [2]; None: there is no path."""
         if self._goes_around:
             around = path_around(self.free, self.xz, goal, self.others)
             if around is not None:
@@ -428,7 +428,7 @@ class PersonActor:
         return points[1:] if len(points) else None
 
     def _stand(self) -> None:
-        """One step of standing, or of stepping aside."""
+        """Make one step of standing, or of stepping aside."""
         if self.aside is not None and len(self.aside):
             # after backing out the straight line to it may lead through furniture
             towards = self.free.first_leg(self.xz, self.aside[0], beyond_m=ASIDE_LEG_M, max_snap_m=1.0)[1]
@@ -444,9 +444,9 @@ class PersonActor:
             self._breathe()
 
     def _go_aside(self, towards: NDArray) -> None:
-        """Makes one step towards a floor point [2] by which the person steps aside, and turns to it meanwhile.
+        """Make one step towards a floor point [2] to step aside, and turn to it meanwhile.
 
-        Whoever turned on the spot first stood in the other's way for another 1.3 s.
+        People who first turned on the spot would block the other agent for another 1.3 s.
         """
         gait, before = self._gait_here(), self._posture()
         stopped, leg = gait.copy(), towards - self.xz
@@ -467,7 +467,7 @@ class PersonActor:
         self._pace(None)
 
     def _speed_aside(self, towards: NDArray, bearing: float) -> float:
-        """Speed [m/s] towards a floor point [2] at an angle to the person's heading: in any direction they step slowly.
+        """Return the speed [m/s] towards a floor point [2] at an angle to the heading; steps aside are always slow.
 
         They set off gradually, and brake before the next corner of the path aside.
         """
@@ -489,7 +489,7 @@ class PersonActor:
         return max(min(speed, braked, self.person.walk.speed_mps + stride.accel_mps2 * STEP_S), CREEP_MPS)
 
     def _backs_out(self) -> bool:
-        """Goes one step back where others have kept them from stepping aside for long; returns whether it did."""
+        """Go one step back if others have blocked stepping aside for a long time; return whether it did."""
         if self._held_up < BACK_AFTER_STEPS or not self._trail:
             return False
         now = self._posture()
@@ -505,7 +505,7 @@ class PersonActor:
         return True
 
     def _shuffles(self, towards: NDArray) -> bool:
-        """Steps towards a floor point [2] without turning, where turning has been blocked for long.
+        """Step towards a floor point [2] without turning, if turning has been blocked for a long time.
 
         Otherwise two people next to each other in a corridor could neither turn nor walk. Returns whether the person
         moved.
@@ -526,12 +526,12 @@ class PersonActor:
         return True
 
     def _walked(self, before: Any) -> None:
-        """Notes a step of walking that nobody has stopped, and the posture before it."""
+        """Record a step of walking that was not stopped, and the posture before it."""
         self._trail.append(before)
         self._held_up = 0
 
     def _breathe(self) -> None:
-        """One step of standing still, from which nobody is hit who was not hit before."""
+        """Make one step of standing still, in which nobody is newly touched."""
         before = self._posture()
         self.person.stride()
         if self.meets():
@@ -539,7 +539,7 @@ class PersonActor:
         self._follow()
 
     def _pace(self, towards: NDArray | None) -> None:
-        """Walks one step towards a floor point [2], or slows down to a stand.
+        """Walk one step towards a floor point [2], or slow down to a stand.
 
         A step that would touch another agent is not made.
         """
@@ -559,7 +559,7 @@ class PersonActor:
         self._follow()
 
     def _setting_off(self, towards: NDArray) -> WalkerSpec:
-        """The walker of one step towards a floor point [2], who sets off and brakes as `StrideSpec` says."""
+        """Return the walker of one step towards a floor point [2], who sets off and brakes by `StrideSpec`."""
         stride, speed = self.spec.stride, self.person.walk.speed_mps
         if stride is None:
             return self.spec
@@ -568,7 +568,7 @@ class PersonActor:
         return replace(self.spec, speed_mps=min(max(speed, CREEP_MPS), self.spec.speed_mps))
 
     def _careful(self, motion: Motion, patience: int = AVOIDANCE.patience_steps) -> Generator[None, None, MotionResult]:
-        """Carries out a motion, waiting at each step until no other agent is in the way.
+        """Carry out a motion, waiting at each step until no other agent is in the way.
 
         After ``patience`` steps of waiting the motion is reversed and fails, unless it has changed what the hands hold.
         """
@@ -610,7 +610,7 @@ class PersonActor:
             yield
 
     def _gait_here(self) -> HumanState:
-        """The gait so far; one of standing where something else has moved the person since."""
+        """Return the gait so far, or that of standing if the person has been moved by something else since."""
         gait = self._gait
         # headings of a gait are never wrapped, those from the root's quaternion are
         turned = math.remainder(gait.heading.item(0) - self.heading, math.tau)
@@ -619,7 +619,7 @@ class PersonActor:
         return gait
 
     def _set_off(self) -> HumanState:
-        """Standing at the same place."""
+        """Return the gait of standing at the same place."""
         gait = HumanState.zeros(1)
         gait.xz[0], gait.heading[0] = self.xz, self.heading
         return gait
@@ -648,7 +648,7 @@ class PersonActor:
         self.person.objects |= posture.objects
 
     def _handle(self, k: int, goal: NDArray | None) -> Skill:
-        """Pick, or place at a world point [3]; objects change hands in the step in which the hand is there."""
+        """Pick an object, or place it at a world point [3]; it changes hands in the step in which the hand is there."""
         name, picks = self.objects.names[k], goal is None
         point = self.objects.poses[k, :3] if goal is None else goal
         stand = np.append(self.xz, self.heading)
@@ -680,7 +680,7 @@ class PersonActor:
         return bool(reacher(self.person.body, hand).reachable(seen[None])[0])
 
     def _has_room(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
-        """Returns whether the body stays clear of the home while a hand reaches for a point from a stand.
+        """Return whether the body stays clear of the home while a hand reaches for a point from a stand.
 
         It is True where bodies are not checked, and where the hand does not reach the point anyway.
         """

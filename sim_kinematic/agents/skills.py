@@ -37,8 +37,8 @@ PRIMITIVES = {
     "turn_left": (0.0, 1.0, 2),
     "turn_right": (0.0, -1.0, 2),
 }
-"""Command and number of steps of each primitive motion of robots: 0.333 m and 9.55 degrees as in Habitatat our speed
-limits."""
+"""Command and number of steps of each primitive motion of robots: 0.333 m and 9.55 degrees as in Habitat, at h3data's
+speed limits."""
 CONTROL = "control"
 """Skill of one low-level step of a robot: its base, arm and hand follow `Action.command`."""
 OPENING_SKILLS = ("nav_to_handle", "open", "close")

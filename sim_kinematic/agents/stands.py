@@ -147,7 +147,7 @@ def nearest_stand(
 
 
 def _ring(point: Array, distances: Array, side: float) -> Array:
-    """Places [D * STANDS.bearings, 3] around a point, each heading ``side`` [rad] to the left of it."""
+    """Return the places [D * STANDS.bearings, 3] around a point, each heading ``side`` [rad] to the left of it."""
     angle, distance = np.meshgrid(np.arange(STANDS.bearings) * (2 * np.pi / STANDS.bearings), distances)
     angle, distance = angle.ravel(), distance.ravel()
     # back from the point against the heading, whose forward is (cos h, -sin h) in (x, z)

@@ -62,14 +62,14 @@ class _Request:
     """A request to step aside."""
 
     by: int
-    """The agent that asked; the asked one itself where all others step aside for it."""
+    """Agent that asked, or the asked agent itself if all others step aside for it."""
     route: NDArray[np.float64]
-    """Points [N, 2] still to go."""
+    """Remaining points [N, 2] of the way."""
     steps: int = 0
     stays_steps: float = 0
-    """It leads to a refuge, at which the agent stays for so long at most; 0: it does not."""
+    """Largest number of steps for which the agent stays at a refuge; 0 if the way leads to none."""
     stayed: int = 0
-    """Number of steps since it got there."""
+    """Number of steps since the agent arrived."""
     chose_at: tuple[float, float, float] | None = None
     """Place ``(x, z, heading)`` of the other agent, which is driven from outside, when the agent last made a new
     choice."""
@@ -161,7 +161,10 @@ class RightOfWay:
             walker.aside = self._requests[number].route if number in self._requests else None
 
     def _all_are_clear(self, starts: Mapping[int, list[float] | None]) -> bool:
-        """Return whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
+        """Return whether no agent can be asked to step aside in this step.
+
+        In homes for two agents this is the case in nine steps of ten.
+        """
         return not any(self._may_block(other, me, starts) for other, me in self._pairs)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
@@ -355,7 +358,7 @@ class RightOfWay:
         return None
 
     def _leaves_refuge(self, walker: Walker, request: _Request) -> bool:
-        """Return whether an agent goes on from its refuge, or from the path to it."""
+        """Return whether an agent continues from its refuge, or from the path to it."""
         other = self._walkers[request.by]
         obeys = self._stand_offs is None or self._stand_offs.errand(other.number).obeys
         if not obeys and request.steps % AVOIDANCE.looks_steps == 0:
@@ -490,7 +493,7 @@ def aside_distance_m(a: Body, b: Body) -> float:
 
 
 def _size_beyond_default(body: Body) -> float:
-    """By how much a robot extends farther from its origin than ``quad_arm`` [m], for which the distances were tuned."""
+    """Return by how much a robot extends farther from its origin than ``quad_arm``, the reference of distances [m]."""
     return body.footprint.extent_m - AVOIDANCE.robot.extent_m if body.is_robot else 0.0
 
 

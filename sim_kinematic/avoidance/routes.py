@@ -24,7 +24,7 @@ NOWHERE = np.full(2, np.nan)
 
 @kernel(error_model="numpy")
 def _flood(room, least, discs, origin, cell, si, sj, goal, near, farthest):
-    """Distances [nx, nz] [m] over the grid from cell (si, sj), infinite where no path leads, and each cell's predecessor.
+    """Return grid distances [nx, nz] [m] from cell (si, sj), infinite without a path, and each cell's predecessor.
 
     It ends where distances exceed ``farthest`` [m], and where no other cell can be on the shortest path to within ``near`` of
     ``goal`` [2], if that is finite; all distances up to there are final. If no cell there is free, it does not begin.
@@ -79,7 +79,7 @@ def _flood(room, least, discs, origin, cell, si, sj, goal, near, farthest):
 
 @kernel(error_model="numpy")
 def _last_seen(sdf, origin, cell, room, discs, points, k):
-    """Number of the last of some points [N, 2] to which the straight line from point ``k`` is free, k + 1 if there is none."""
+    """Return the number of the last of some points [N, 2] with a free line from point ``k``; k + 1 if there is none."""
     leg = np.empty((2, 2))
     leg[0] = points[k]
     for n in range(len(points) - 1, k + 1, -1):
@@ -160,7 +160,7 @@ class DistanceMap:
         return self._path(int((i + a) * self.distance.shape[1] + j + b), goal)
 
     def reaches(self, places: NDArray) -> NDArray[np.bool_]:
-        """Return whether a path leads to each of some floor points [N, 2], as bool [N]."""
+        """Return whether `path_to` finds a path to each of some floor points [N, 2], as bool [N]."""
         # imported here: few episodes ask for this, and it would make every start slower
         from scipy.spatial import KDTree
 

@@ -56,7 +56,7 @@ class AvoidanceSpec:
     range_m: float = 4.0
     """Distance beyond which agents are ignored [m]: at 2.5 m/s each, two need 0.8 s to meet."""
     horizon_steps: int = 24
-    """Number of steps that each trial command is rolled out."""
+    """Number of steps for which each trial command is simulated."""
     stride_steps: int = 3
     """Number of steps between the moments of a roll-out at which gaps are measured."""
     doubt_mps: float = 0.25
@@ -69,7 +69,7 @@ class AvoidanceSpec:
     standing_margin_m: float = 0.15
     """Distance to keep from agents that stand and step aside when asked [m]."""
     still_margin_m: float = 0.0
-    """Distance to keep from agents that have stood for long [m], small enough for a robot to get past."""
+    """Distance to keep from agents that have stood still for a long time [m], small enough for a robot to get past."""
     still_steps: int = 75
     """Number of steps of standing after which an agent has settled; picking and placing take fewer."""
     still_m: float = 0.01
@@ -126,7 +126,7 @@ class AvoidanceSpec:
     retreat_m: float = 2.0
     """Distance from a person, along the person's path, to which a waiting robot retreats [m]."""
     retreat_room_m: float = 0.45
-    """Least distance from the nearest obstacle of a place to retreat to [m]."""
+    """Smallest distance of a place of retreat from the nearest obstacle [m]."""
     retreat_rings_m: tuple[float, ...] = (0.75, 1.5, 2.5, 3.5)
     """Distances from a robot at which it searches for places to retreat to [m]."""
 

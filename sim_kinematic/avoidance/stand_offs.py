@@ -55,7 +55,9 @@ class StandOffs:
         return self._encounters[min(a, b), max(a, b)]
 
     def update(self, held_off: Callable[[int, int], bool]) -> list[tuple[int, int]]:
-        """Count one step, and return pairs of agents without progress for long, of which one has something to do.
+        """Count one step, and return the pairs of agents that have to be separated.
+
+        These are agents without progress for a long time, of which at least one has something to do.
 
         ``held_off`` returns whether an agent is blocked by another agent that is driven from outside.
         """

@@ -141,7 +141,7 @@ class ObstacleDisc(NamedTuple):
     velocity: Sequence[float] | NDArray[np.floating]
     """Velocity of the disc [2] [m/s]."""
     settled: bool = False
-    """True if the agent has stood for long and is passed at ``still_margin_m``."""
+    """True if the agent has stood still for a long time and is passed at ``still_margin_m``."""
     radius_m: float = AVOIDANCE.person_radius_m
     margin_m: float = AVOIDANCE.margin_m
     """Gap to be kept between the robot and the disc [m]."""

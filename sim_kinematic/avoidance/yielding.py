@@ -26,7 +26,7 @@ class ObservedAgent(NamedTuple):
     velocity: NDArray[np.float64]
     """Mean velocity over the last steps [2] [m/s]."""
     settled: bool
-    """True if the agent has stood for long (`AvoidanceSpec.still_steps`)."""
+    """True if the agent has stood still for a long time (`AvoidanceSpec.still_steps`)."""
     is_robot: bool
     heading: float = 0.0
     steps_aside: bool = False

@@ -92,7 +92,7 @@ def _pose_person(pose, quats, pelvis, joints, ends, offsets, parents, frames, ou
 
 @kernel(error_model="numpy")
 def _move(frames, of, ends, out):
-    """End [n, 2, 3] given in the frames ``of`` [n], in the world."""
+    """Write ends [n, 2, 3], given in the frames ``of`` [n], to ``out`` in the world."""
     for n in range(len(of)):
         frame = frames[of[n]]
         for k in range(2):

@@ -180,7 +180,7 @@ MARGIN_M = 1e-6
 
 @kernel()
 def _near_pairs(start, end, radius, bounds):
-    """Poses, shapes and parts [N, 3] whose bounding boxes overlap, of capsules [T, n, 3] and of boxes [m, 2, 3]."""
+    """Return poses, shapes and parts [N, 3] of overlapping boxes, of capsules [T, n, 3] and boxes [m, 2, 3]."""
     found = np.empty((64, 3), np.int64)
     count = 0
     for t in range(start.shape[0]):
@@ -205,7 +205,7 @@ def _near_pairs(start, end, radius, bounds):
 
 @kernel()
 def _near_moved(frames, start, end, radius, bounds):
-    """`_near_pairs` of capsules [n, 3] that are given in frames [T, n, 4, 4]."""
+    """Return `_near_pairs` of capsules [n, 3] that are given in frames [T, n, 4, 4]."""
     moved = np.empty((2, frames.shape[0], frames.shape[1], 3))
     for t in range(frames.shape[0]):
         for k in range(frames.shape[1]):

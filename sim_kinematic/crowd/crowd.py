@@ -212,7 +212,7 @@ class Crowd:
         return places[:people], self._body[:, 0].copy()
 
     def _move_busy(self, m: int, places: Array, radii: Array, step: int) -> None:
-        """Move a person who is at a station by one step in ``places`` [N, 2], unless somebody is in the way."""
+        """Move a person who is at a station by one step in ``places`` [N, 2], unless another agent is in the way."""
         was, share = places[m].copy(), self.seats[m, 1]
         station, motion = self._busy[m]
         moved = self._waits.pop(m, None) or next(motion, None)
@@ -236,7 +236,7 @@ class Crowd:
                 self.new_events.append((m, kind, station.name, ""))
 
     def _meet(self, xz: Array) -> None:
-        """Find places for the groups that stand and talk, from the initial positions ``xz`` [M, 2]."""
+        """Choose places for the groups that stand and talk, from the initial positions ``xz`` [M, 2]."""
         for word in sorted({role.group for role in self._roles if role.group.startswith("talk")}):
             members = [m for m, role in enumerate(self._roles) if role.group == word]
             number = int(word.removeprefix("talk") or 0)
@@ -313,7 +313,7 @@ class Crowd:
             self._best[m] = 0.0, step
 
     def _make_room(self, xz: Array, stuck: NDArray[np.intp], step: int) -> None:
-        """End the stay of everybody who stands for a time on the path of people who are ``stuck``."""
+        """End the stay of all people who have stopped on the path of people who are ``stuck``."""
         standing = np.flatnonzero((self._until > step) & np.isfinite(self._until))
         for m in stuck.tolist() if len(standing) else ():
             way = self._ahead(m, WAY_M)

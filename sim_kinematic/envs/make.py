@@ -36,8 +36,9 @@ class Bank(Protocol):
 
 
 DEVICE_ENVS: Registry[Callable[..., Any]] = Registry("h3data.device_envs", {}, what="task on a torch device")
-"""Functions that make W worlds of a task on a torch device, by the name of the task: ``(worlds, scenes, *, device,
-agents, **options)``. Tasks without an entry use ``any``, which also takes the ``task``."""
+"""Functions that make W worlds of a task on a torch device, by the name of the task:
+``(worlds, scenes, *, device, agents, **options)``. Tasks without an entry use ``any``, which also takes the ``task``.
+"""
 
 
 class MakeOptions(TypedDict, total=False):

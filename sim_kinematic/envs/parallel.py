@@ -29,9 +29,9 @@ class TaskParallelEnv(PickledEnv, pettingzoo.ParallelEnv[str, Any, Any]):
     """Environment in which several agents act at every step and all get the same reward.
 
     In tasks with skills, which differ in duration, a step lasts until one agent must choose.
-    ``info[agent]["choosing"]`` is true for agents whose next action counts; that of an agent that is busy has no
-    effect. If two agents must choose at the same moment but only the first of them was known to, a step of no duration
-    asks the second one.
+    ``info[agent]["choosing"]`` is true for agents whose next action counts; the action of a busy agent has no effect.
+    If two agents must choose at the same moment but this was known only for the first one, a step of no duration asks
+    the second one.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]

@@ -185,6 +185,8 @@ class TaskVectorEnv(PickledEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Return the result of calling a method of each world, or an attribute of each world, by name.
 
+        Only the results of ``render`` differ between worlds.
+
         Raises:
             AttributeError: the worlds have no such method or attribute.
             InputError: the method would move single worlds.

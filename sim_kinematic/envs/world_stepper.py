@@ -376,7 +376,7 @@ class WorldStepper:
         return tuple(agent for agent, number in self.numbers.items() if number in now)
 
     def _other_command(self, k: int) -> Command:
-        """Command of an agent that is not controlled by actions."""
+        """Return the command of an agent that is not controlled by actions."""
         # world 0 speaks for all: the partner was chosen once, for every world
         own, scripted = self.play.world.state.agents[k], isinstance(self._walkers[0][k], WaypointPolicy)
         if scripted and self.spec.human.stride is not None:

@@ -316,7 +316,7 @@ class Strider:
         )
         self._path, self._cumulative = np.zeros((2, 2)), np.zeros(2)
         self._lengths: list[float] = [0.0, 0.0]
-        """`_cumulative`, in which a step looks up where it is."""
+        """Lengths of paths (`_cumulative`), in which a step looks up its place."""
         self._state = np.zeros(10)
         self._halts, self._facing = halts, math.nan
         self.arrived = True

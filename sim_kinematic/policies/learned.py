@@ -309,7 +309,7 @@ def trained_for(network: AnyNetwork, task: str, *kinds: type[Fitting]) -> Fittin
     """Return a network after checking that it is for a task, and of one of some kinds.
 
     Raises:
-        FormatError: It is for another task, or of another kind.
+        FormatError: The network is for another task, or is of another kind.
     """
     if network.task != task or not isinstance(network, kinds):
         raise FormatError(

@@ -87,6 +87,8 @@ class Plan(NamedTuple):
     ) -> tuple[Any, Plan]:
         """Return the objects [W] to bring to their goals now, and the plans after this decision.
 
+        An object is -1 if none is left or no choice is due.
+
         Args:
             asked: whether the planner chooses now, bool [W].
             failed: whether its last choice failed, bool [W].
@@ -163,7 +165,7 @@ class Chooser:
     """Function that chooses one of the remaining objects; None means to wait."""
     _object: int = -1
     _avoid: dict[int, int] = field(default_factory=dict)
-    """Objects at which it failed, and until which step it leaves them."""
+    """Objects at which the agent failed, and the step until which it avoids each."""
 
     def act(self, view: RearrangeView) -> Action:
         """Return the next action for the object in hand, or for the preferred one.

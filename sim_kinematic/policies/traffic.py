@@ -138,7 +138,7 @@ class ClipBody:
         return Frame(self.base, root, self.quats[1:], {})
 
     def _pose(self) -> tuple[Array, Array]:
-        """Return local rotations [55, 4] and the pelvis [3], computed when somebody is near enough to ask."""
+        """Return local rotations [55, 4] and the pelvis [3], computed only when an agent is near enough to need them."""
         # compared by identity: every step makes another gait, and comparing arrays costs more
         if self._posed is None or self._posed[0] is not self.gait:
             phase = walking_phase(self.body, self._clip, self.gait)

@@ -1,11 +1,12 @@
 """Recurrent network that maps pictures and numbers to commands of a robot, stored in a file of plain arrays.
 
-The network is ``picture -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward,
-turn``. For skills that move the arm, the output also has the arm's joints and the grip. One small kernel evaluates it
-in a millisecond. Its sums have a fixed order, so they give the same bits in every process. Those of PyTorch and NumPy's
-BLAS do not, as their order depends on the number of threads; for so little work, threads would cost more than they
-save. `h3data_training.networks` implements the same network in PyTorch, and tests/training/test_policy_files.py
-compares the two.
+The network is
+``picture -> convolutions -> GRU(picture features, numbers, last action) -> two layers -> forward, turn``. For skills
+that move the arm, the output also has the arm's joints and the grip. One small kernel evaluates it in a millisecond.
+Its sums have a fixed order, so they give the same bits in every process. Those of PyTorch and NumPy's BLAS do not, as
+their order depends on the number of threads; for so little work, threads would cost more than they save.
+`h3data_training.networks` implements the same network in PyTorch, and tests/training/test_policy_files.py compares the
+two.
 
 The file is an npz of float32 arrays and one JSON text. It has no pickle and no code, so nothing in it is executed when
 it is read.

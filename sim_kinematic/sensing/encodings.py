@@ -20,7 +20,7 @@ SPEED_MPS = 2.5
 DETECTOR = "humanoid_detector"
 """Name of a flag that is computed from a picture, and is therefore not in the table."""
 _FLAG = Sensor(abs, (0.0,), (1.0,))
-"""Stand-in for its row."""
+"""Sensor of a flag, which is used in place of the row of the table."""
 
 
 class Encoding(NamedTuple):
@@ -99,4 +99,4 @@ OF_COMMANDS: Mapping[str, Encoding] = {
 OF_CHOICES: Mapping[str, Encoding] = {
     name: _of_choices(sensor) for name, sensor in SENSES.items() if sensor.times != "choices"
 } | {DETECTOR: _of_choices(_FLAG)}
-"""Encodings of the observations that networks of choices can read, by namein addition to the sensors of choices."""
+"""Encodings of the observations that networks of choices can read in addition to the sensors of choices, by name."""

@@ -92,7 +92,9 @@ class ObservationSet:
         return self.pictures.take(drawn) if self.pictures.names else {}
 
     def shown(self, exact: Arrays, seeds: Sequence[int], steps: Sequence[int]) -> Arrays:
-        """Return observations [W, ...] for exact values [W, ...]: with noise, scaled depth, and clipping.
+        """Return observations [W, ...] for exact values [W, ...]: with noise, and within the bounds of the space.
+
+        Depth is scaled to 0..1.
 
         The noise is determined by the episodes' ``seeds`` [W] and ``steps`` [W].
         """

@@ -68,7 +68,10 @@ def _wrapped(xp: Any, angle: Any) -> Any:
 
 
 def in_base_frame(robot_xz: Any, heading: Any, point_xz: Any, *, xp: Any = np) -> Any:
-    """Transform points ``(x, z)`` [..., 2] to ``(forward, left)`` [..., 2] [m] of a base at ``robot_xz`` [..., 2]."""
+    """Transform points ``(x, z)`` [..., 2] [m] to coordinates ``(forward, left)`` [..., 2] [m] of a base.
+
+    The base is at ``robot_xz`` [..., 2] [m] with heading [...] [rad].
+    """
     if xp is np:
         gap, heading = _gaps(robot_xz, heading, point_xz)
         return _in_frames(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape)
@@ -129,7 +132,10 @@ def agents_within_threshold(
     aside_m: float = 1.5,
     xp: Any = np,
 ) -> Any:
-    """Return whether the other agent is in an ellipse around the base, with half axes ``ahead_m`` and ``aside_m``."""
+    """Return whether the other agent is in an ellipse around the base, bool [...].
+
+    The half axes of the ellipse are ``ahead_m`` and ``aside_m`` [m].
+    """
     seen = in_base_frame(own_xz, heading, other_xz, xp=xp)
     return (seen[..., 0] / ahead_m) ** 2 + (seen[..., 1] / aside_m) ** 2 < 1.0
 
@@ -318,7 +324,10 @@ def facing(xz: Any, heading: Any, other_xz: Any, *, xp: Any = np) -> Any:
 
 @kernel(error_model="numpy")
 def _facing(gap, heading):
-    """Cosines [N] between headings [N or 1] and vectors [N, 2]; compiled: every step of social navigation asks for one."""
+    """Return cosines [N] between headings [N or 1] and vectors [N, 2].
+
+    The function is compiled, because every step of social navigation calls it.
+    """
     out, last = np.empty(len(gap)), len(heading) - 1
     for n in range(len(gap)):
         dx, dz, angle = gap[n, 0], gap[n, 1], heading[min(n, last)]

@@ -145,7 +145,9 @@ class Sight:
         return changes
 
     def sees(self, eye: NDArray[np.float64], heading: float, points: NDArray[np.float64], things: int) -> Flags:
-        """Return whether an eye [3] that looks along a heading [rad] sees each point [N, 3], as bool [N]."""
+        """Return whether an eye [3] that looks along a heading [rad] sees each point [N, 3], as bool [N].
+
+        The first ``things`` points are things; the others are places, which are seen from farther away."""
         seen = np.empty(len(points), np.bool_)
         _see(eye, float(heading), points, things, *self.boxes, seen)
         return seen

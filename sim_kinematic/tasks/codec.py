@@ -398,7 +398,7 @@ def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> An
 
 
 def starts_on_floor(free: FreeSpace, starts: Sequence[Start]) -> Array:
-    """Start [A, 3]; those that rounding has put beside the free floor are moved onto it.
+    """Return starts [A, 3], where those that rounding has moved off the free floor are moved back onto it.
 
     Raises:
         SceneError: A start is farther off, so the scene must be another one.

@@ -62,7 +62,7 @@ class Team(ABC):
 
     @abstractmethod
     def move(self, commands: Sequence[Command | None]) -> None:
-        """Complete a step by one command for each agent, None for agents that their controllers have moved."""
+        """Complete a step with one command per agent; None for an agent that its controller has already moved."""
 
     def finish(self) -> None:  # noqa: B027
         """Close activities that are still running, such as skills."""

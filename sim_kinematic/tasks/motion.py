@@ -90,11 +90,11 @@ class VelocityControl(Control):
         return {"forward": float(choice.forward), "turn": float(choice.turn), "skill": choice.skill}
 
     def from_json(self, data: Any) -> Any:
-        """Return the velocity that `to_json` wrote."""
+        """Return the velocity that `to_json` converted."""
         return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
 
     def needed_columns(self, recording: Recording) -> list[str]:
-        """Return the velocity that `to_json` converted."""
+        """Return the names of the columns with the velocities of robots, and with the skills that they report."""
         robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
         names = ("action", "skill") if self.skills.get("robot") else ("action",)
         return [f"agent_{k}.{name}" for k in robots for name in names]

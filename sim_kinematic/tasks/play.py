@@ -34,7 +34,10 @@ if TYPE_CHECKING:
 
 
 class WorldRollout:
-    """Rollout of W worlds of a task, each with its own episode."""
+    """Rollout of W worlds of a task, each with its own episode.
+
+    `sim_kinematic.tasks.runner.DecisionLoop` plays a single one.
+    """
 
     xp: ClassVar[Any] = np
     """Array namespace with which `Task.begin`, `Task.judge` and sensors also run on a torch device."""

@@ -203,11 +203,12 @@ class AddedTime(NamedTuple):
 def added_time(recording: Recording) -> list[AddedTime]:
     """Return the time by which robots delay each person of a crowd, from a second simulation without them.
 
-    Seed and starts of the second simulation are those of the recording, so the robots cause the difference. People are
+    The second simulation has the seed and starts of the recording, so the robots cause the difference. People are
     compared by the goals that they go to in both simulations, up to the first one that differs because of a robot.
 
     Raises:
-        InputError: The recording cannot be simulated again, people are not of a crowd, or there is no robot.
+        InputError: The recording cannot be simulated again (see `verify`), people are not of a crowd, or there is no
+            robot.
     """
     task, episode = _restored(recording)
     robots, people = _numbers(recording, "robot"), _numbers(recording, "human")
@@ -333,7 +334,7 @@ class _Played:
             self._keep(task, recording, rows)
 
     def _keep(self, task: Task, recording: Recording, rows: int) -> None:
-        """Columns, skills and events of people as recorded, as far as the task says."""
+        """Store the columns, skills and events of recorded people, as far as the task selects them."""
         people = _numbers(recording, "human")
         # in social_nav ``sim.`` are the goal and the leg of the person's script
         prefixes = ("sim.", *(f"agent_{k}." for k in people))

@@ -157,8 +157,8 @@ def simulate(
         episode: Episode, such as one from `Task.sample`.
         policies: Policies by agent or kind (`sim_kinematic.policies.assignment.assign`).
         episode_id: Name of the episode within its dataset.
-        sink: Called once with what is known before the first step; returns what receives rows and events while they
-            come, such as a `RecordingWriter`. It is closed at the end and aborted on an error.
+        sink: Function that is called once with the header of the recording, and returns the receiver of rows and
+            events, such as a `RecordingWriter`. The receiver is closed at the end, and aborted on an error.
         progress: Function that is called with 1 after every step.
         info: Entries of the recording's info that override those of the task.
         sensors: Names of sensors of robots that are recorded with every step, as columns ``metrics.agent_<i>.<sensor>``.
@@ -241,7 +241,7 @@ class _Inbox(External):
         super().__init__(interrupts_when_close=external.interrupts_when_close)
         self.pending: Any = None
         self.latest: Any = None
-        """The last command that the agent has followed."""
+        """Last command that the agent has followed."""
         self.has_news = False
         """True if `pending` has not been followed yet."""
         self.is_urgent = False
@@ -412,7 +412,7 @@ class Session:
     def close(self, info: Mapping[str, Any] | None = None) -> Recording:
         """End the session and return its recording.
 
-        The entry ``info["ended"]`` says if the episode was stopped before its end. The entries of the argument
+        The entry ``info["ended"]`` states whether the episode was stopped before its end. The entries of the argument
         ``info``, which the caller knows only now, are recorded too.
         """
         if self._closed is None:

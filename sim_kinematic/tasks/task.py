@@ -1,4 +1,4 @@
-"""Base class of tasks: how episodes are sampled, how steps are evaluated, and which policies are available.
+"""Base class of tasks, which defines the sampling of episodes, the evaluation of steps, and the available policies.
 
 A custom task is a subclass of `Task` with a frozen `TaskSpec`, which is found by an entry point (group
 ``h3data.tasks``) or as ``module:Class``. Only `sample` and `judge` are needed; recording, resuming, environments,
@@ -159,7 +159,7 @@ class Task:
         robot: str = ROBOT_BODY,
         human: str = HUMAN_BODY,
     ) -> Episode:
-        """Sample an episode, by default for the rules and roster of the task and the map of the scene.
+        """Sample an episode with `sample`, by default for the rules and roster of the task and the map of the scene.
 
         ``robot`` and ``human`` are the bodies of agents named by their kind.
         """

@@ -18,7 +18,7 @@ from sim_kinematic.tasks.runner import Session, StepResult
 from sim_kinematic.tasks.task import Task
 
 _LEAF = "leaf"
-"""The part of a door between rooms, in homes of the generator."""
+"""Part name of a door between rooms, in homes of the generator."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +156,7 @@ class App:
         return name.rpartition("/")[2].replace("_", " ")
 
     def joint_label(self, name: str) -> str:
-        """Return the words by which players read the name ``object/part`` of a door or drawer."""
+        """Return the words that players read for a door or drawer with the name ``thing/part``."""
         thing, _, part = name.rpartition("/")
         words = self.label(thing) if part == _LEAF else f"{self.label(thing)} {self.label(part)}"
         return " ".join(dict.fromkeys(words.split()))

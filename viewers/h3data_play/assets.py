@@ -115,7 +115,7 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
 
 
 def _joints(session: Session, app: App, movable: set[str]) -> list[dict[str, Any]]:
-    """Doors and drawers, where the task has any that move."""
+    """Return the doors and drawers, where the task has any that move."""
     openables = getattr(session.play.team, "openables", None)
     if openables is None:
         return []

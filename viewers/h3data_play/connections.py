@@ -62,7 +62,7 @@ class Connection:
         """Create a connection; ``heard`` is the time of the last message by the clock of the front process."""
         self.socket, self.agent = socket, agent
         self.heard = heard
-        """When something came, other than pings."""
+        """Time of the last message other than pings."""
         self._texts: deque[str] = deque()
         self._states: deque[bytes] = deque(maxlen=QUEUE)
         self._news = asyncio.Event()

@@ -138,14 +138,14 @@ class WebServer:
         self._said_full = -math.inf
         """Time of the last message to the operator that the database cannot be written."""
         self._loading: dict[str, float] = {}
-        """When seats were given to browsers that have not connected since, by the clock."""
+        """Times at which seats were given to browsers that have not connected since, by the clock."""
         self._gone: dict[str, float] = {}
-        """When browsers were last connected to their seats, if not since this server began."""
+        """Times at which browsers were last connected to their seats, if not since the start of this server."""
         self._began = clock()
         self._left: set[str] = set()
         """Seats that other browsers have now, under other names."""
         self.finishes = True
-        """True if recordings are finished when the server stops; else the next server goes on with them."""
+        """True if recordings are finished when the server stops; else the next server continues them."""
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
@@ -168,7 +168,7 @@ class WebServer:
         return "/" if is_open else f"/s/{self.journal.links[number]}/"
 
     async def _close_sockets(self, app: web.Application) -> None:
-        """Without this aiohttp waits a minute for open sockets."""
+        """Close open sockets, because aiohttp would otherwise wait for them for a minute."""
         del app
         connections = [c for live in self.lives.values() for c in live.sockets.values()]
         for connection in connections:
@@ -241,7 +241,7 @@ class WebServer:
         return answer
 
     async def _read(self, request: web.Request, kind: type[Any]) -> Any:
-        """Returns the message that a browser has sent to its seat."""
+        """Return the message that a browser has sent to its seat."""
         require_own_origin(request)
         self._seat_number(request)
         if request.content_type != "application/json":
@@ -293,7 +293,7 @@ class WebServer:
         return self.journal.sit(token, max(places, default=-1) + 1, number)
 
     def _is_attended(self, seat: Seat, away_s: float) -> bool:
-        """Returns whether a seat's browser is connected, was so within the last ``away_s`` [s], or may be loading the home."""
+        """Return whether a seat's browser is connected, was so within ``away_s`` [s], or may be loading the home."""
         now = self.clock()
         if (
             now - self._loading.get(seat.sid, -LOADING_S) < LOADING_S
@@ -307,7 +307,7 @@ class WebServer:
             raise web.HTTPServiceUnavailable(text="The machine is busy with other sessions. Try again in a minute.")
 
     def _require_room_at(self, request: web.Request) -> None:
-        """Refuses a further seat to an address that has many."""
+        """Refuse another seat to a network address that has many."""
         sids = self._addresses.get(self._address(request), set())
         sids.difference_update([sid for sid in sids if not self._is_taken(sid)])
         if len(sids) >= self.seats_per_address:
@@ -324,13 +324,13 @@ class WebServer:
         return network(named.rpartition(",")[2].strip() or request.remote or "")
 
     def _is_taken(self, sid: str) -> bool:
-        """Returns whether somebody still plays in a seat."""
+        """Return whether a seat is still played."""
         seat = self.journal.seats.get(sid)
         game = None if seat is None else self.journal.games.get(seat.game)
         return seat is not None and (game is None or not game.over)
 
     def _game_for(self, seat: Seat) -> Live:
-        """The game of a seat's table: the one that goes on, or the next episode."""
+        """Return the game of a seat's table: the running one, or the next episode."""
         game = self.journal.open_game(seat.place)
         if game is None:
             if len(self.journal.games) >= self.plan.episodes:
@@ -364,7 +364,7 @@ class WebServer:
             self._send_order(live, worker, order)
 
     def _prepare_next(self) -> None:
-        """Has the episodes prepared that begin next, while the present ones are played."""
+        """Have the next episodes prepared while the present ones are played."""
         begun = len(self.journal.games)
         for episode in range(begun, min(begun + min(self.tables, MOST_AHEAD), self.plan.episodes)):
             self.preparer.ask(GameOrder(index=episode, name=recording_name(episode)))
@@ -381,11 +381,11 @@ class WebServer:
         worker.send("begin", live.game.key, msgspec.to_builtins(order))
 
     def _order(self, game: Game) -> GameOrder:
-        """Returns the order by which a worker plays a game."""
+        """Return the order by which a worker plays a game."""
         return GameOrder(index=game.episode, name=recording_name(game.episode))
 
     def _agent(self, seat: Seat, begun: dict[str, Any]) -> int:
-        """The agent that a seat plays; -1: none."""
+        """Return the agent that a seat plays; -1: none."""
         return int(begun["agents"][seat.number]) if seat.number < len(self.plan.players) else -1
 
     # --- from workers -------------------------------------------------------------------------------------------------
@@ -407,7 +407,7 @@ class WebServer:
 
     @web.middleware
     async def _with_room(self, request: web.Request, handler: Any) -> web.StreamResponse:
-        """Answers that something did not happen if it cannot be written down (`SeatLog`)."""
+        """Answer that an action did not happen if it cannot be written to the disk (`SeatLog`)."""
         try:
             return await handler(request)
         except sqlite3.OperationalError as fault:
@@ -445,7 +445,7 @@ class WebServer:
             self._over(live, body)
 
     def _waits(self, live: Live, body: dict[str, str]) -> None:
-        """The disk has no room for what a game has played, or for its beginning."""
+        """Note that a game waits, because the disk has no space for its data or for its beginning."""
         if not self._stuck:
             self.report({"disk": {"is_full": True, "why": body["why"]}})
         self._stuck[live.game.key] = body["text"]
@@ -483,7 +483,7 @@ class WebServer:
             self.done.set()
 
     def _is_last(self) -> bool:
-        """Returns whether no further game will begin."""
+        """Return whether no further game will begin."""
         return len(self.journal.games) >= self.plan.episodes
 
     def lost(self, worker: WorkerProcess) -> None:

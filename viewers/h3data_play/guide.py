@@ -112,7 +112,7 @@ class Guide:
         self._idle += 1
 
     def _plans_maneuver(self, xz: Array, heading: float) -> bool:
-        """Plans a maneuver and the path from its end; returns whether there is one.
+        """Plan a maneuver and the path from its end; return whether there is one.
 
         It returns False if the base does not maneuver, or has made no progress since its last maneuver.
         """
@@ -133,12 +133,12 @@ _NOBODY = np.zeros((0, 3))
 
 
 def _share(rest: float, per_s: float) -> float:
-    """The share of a speed that covers ``rest`` in one step, at most all of it."""
+    """Return the share of a speed that covers ``rest`` in one step, at most all of it."""
     return max(-1.0, min(1.0, rest * STEPS_PER_S / per_s))
 
 
 def _nearest_reachable(free: FreeSpace, xz: Array, goal: ArrayLike) -> Array:
-    """The point (x, z) nearest to ``goal`` that can be reached from ``xz``; NaN if it is farther away than `NEAR_M`."""
+    """Return point (x, z) nearest to ``goal`` that can be reached from ``xz``; NaN if farther away than `NEAR_M`."""
     island = int(free.island(free.snap(xz)))
     there = shapely.Point(np.asarray(goal, np.float64))
     if island < 0 or free.polygon.geoms[island].distance(there) > NEAR_M:

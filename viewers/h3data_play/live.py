@@ -61,7 +61,7 @@ class PatientSink:
 
     def __init__(self, writer: RecordingWriter) -> None:
         self.writer, self.fault = writer, ""
-        """``fault``: why the disk does not take what waits; empty while it does."""
+        """``fault``: reason why the disk does not accept the waiting data; empty while it does."""
         self._info: dict[str, Any] | None = None
 
     def append(self, rows: dict[str, Any]) -> None:
@@ -192,7 +192,7 @@ class EpisodeFactory:
 
 
 def _unfinished(part: Path, saved: Path) -> Recording | None:
-    """Steps that were played of an unfinished episode, from its log or from an earlier attempt to restore it.
+    """Return the steps that were played of an unfinished episode, from its log or from an earlier attempt.
 
     They are stored in ``saved`` until they are in the log again.
 
@@ -234,7 +234,8 @@ class LiveGame:
         names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
         policies: dict[str, Any] = dict(names)
         self.waited_for: dict[int, Any] = {}
-        """Policies behind servers by agent: they decide beside the clock, and their commands are recorded as players' are."""
+        """Policies behind servers, by agent; the clock does not wait for them, and their commands are recorded like
+        those of players."""
         if plan.partner not in (None, "solo"):
             for k in (k for k in range(len(episode.roster)) if k not in table.numbers):
                 assigned = make_policy(table.task, episode, k, table.partner_of(episode, k))
@@ -245,7 +246,7 @@ class LiveGame:
                 policies[episode.roster[k].name] = assigned
         self._told_until = 0
         self._told: dict[int, dict[int, Any]] = {}
-        """Their recorded commands by agent and step, while a game is played again."""
+        """Recorded commands of policies behind servers by agent and step, while a game is played again."""
         self.sink: PatientSink | None = None
         self.leftover: Path | None = None
         """Recording that the game resumes, until its content is in its own log."""
@@ -467,7 +468,7 @@ class LiveGame:
         return session.close({**ended, "hitl": {**hitl, "slipped": self.slipped, **said}, **facts, **(info or {})})
 
     def _let_go(self) -> dict[str, Any]:
-        """Ends the conversations with servers; returns what the recording says about them."""
+        """End the conversations with servers; return what the recording says about them."""
         found: dict[str, Any] = {}
         for policy in self.waited_for.values():
             for name, facts in policy.recorded_info().items():

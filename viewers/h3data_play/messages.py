@@ -213,7 +213,7 @@ The limit of a decoder depends on the depth of its caller's stack, so a worker c
 the front process accepted.
 """
 _BRACKET = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"?|[\[{]|[\]}]', re.DOTALL)
-"""A string, which may lack its end, or a bracket."""
+"""Pattern of a string, which may lack its end, or of a bracket."""
 Kind = TypeVar("Kind")
 
 

@@ -28,7 +28,7 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 0
     episodes: int = 1
     speed: float = 1.0
-    """Speed of the clock relative to real time, for scripted players; 0 means as fast as possible. Recordings include
+    """Speed of the clock relative to real time (1), for scripted players; 0 means as fast as possible. Recordings store
     it."""
     weights_in: str = ""
     """Folder to which a path of weights in ``partner`` is relative. Recordings contain the relative path."""

@@ -134,7 +134,7 @@ async def serve(options: ServeOptions, report: Any) -> int:
 
 
 def _hear(stops: asyncio.Event) -> None:
-    """Nobody says anything after the options: what ends stdin is that whoever started this process is gone."""
+    """Set ``stops`` when stdin is closed, because the parent process has gone."""
     if not os.read(sys.stdin.fileno(), 4096):
         asyncio.get_running_loop().remove_reader(sys.stdin)
         stops.set()

@@ -149,7 +149,7 @@ class StatePacker:
         return objects
 
     def _pose(self, k: int, body: Humanoid, base: Array, columns: Columns) -> tuple[Array, Array]:
-        """Pelvis in the world, pose7, and rotations of the other joints of a person."""
+        """Return the pelvis in the world, pose7, and rotations of the other joints of a person."""
         agent = f"agent_{k}."
         if agent + "joint_quat" in columns:
             return columns[agent + "root_pose"][-1], columns[agent + "joint_quat"][-1]
@@ -177,5 +177,5 @@ def _packed_joints(columns: Columns) -> NDArray[Any]:
 
 
 def _changed(before: NDArray[Any], now: NDArray[Any]) -> NDArray[Any]:
-    """Records that differ from those before; all where there were none."""
+    """Return the records that differ from those before; all records if there were none."""
     return now if len(before) != len(now) else now[before != now]

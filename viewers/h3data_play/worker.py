@@ -104,7 +104,7 @@ class Running:
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
     seen: dict[int, Any] = field(default_factory=dict)
-    """Doors and drawers that each player last had to open first, by agent."""
+    """Door or drawer that each player most recently had to open before an action, by agent."""
     floors: dict[int, Any] = field(default_factory=dict)
     """Floor that was last sent to each player; None if the page's floor is unknown, and no entry if it never changed."""
     is_stuck: bool = False
@@ -150,9 +150,9 @@ class Worker:
         self._prepared: dict[tuple[int, int], dict[str, Any]] = {}
         self._homes_ahead = self.homes_ahead()
         self._waiting: deque[tuple[str, dict[str, Any], float]] = deque()
-        """Games that are to begin: key, order, since when."""
+        """Games that are about to begin: key, order, and time since which they wait."""
         self._no_room: dict[str, dict[str, Any]] = {}
-        """Orders of games for whose beginning the disk has no room."""
+        """Orders of games that cannot begin because the disk is full."""
         self._tried = time.monotonic()
 
     def table(self, number: int) -> EpisodeFactory:
@@ -274,7 +274,7 @@ class Worker:
             self.channel.send("failed", key, text)
 
     def _free_time(self, newcomer: Running) -> float:
-        """Time at which a new game should take its first step.
+        """Return the time at which a new game should take its first step.
 
         It is the middle of the longest interval in which no other game takes a step, so that a long step of one game
         delays few others.
@@ -357,7 +357,7 @@ class Worker:
             self._end(running)
 
     def _note_disk(self, running: Running) -> None:
-        """The disk does not take what has been played: the game stands still."""
+        """Note that the disk does not accept the data of a game, which stands still."""
         if running.game.fault and not running.is_stuck:
             running.is_stuck = True
             self.channel.send("stuck", running.key, {"why": running.game.fault, "text": DISK_FULL})
@@ -539,7 +539,7 @@ class Worker:
                 self.channel.send("told", running.key, [number, {"hud": msgspec.to_builtins(hud)}])
 
     def _tell_pause(self, running: Running, *, goes_on: bool = False) -> None:
-        """Tells those who are there what they wait for."""
+        """Inform connected players what the game waits for."""
         if len(running.game.drivers) < 2 and -1 not in running.here and not running.is_stuck and not goes_on:
             return
         if running.is_stuck:
@@ -552,7 +552,7 @@ class Worker:
             self.channel.send("told", running.key, [number, {"pause": text}])
 
     def _end(self, running: Running) -> None:
-        """The episode is over: asks those who are there the app's question, before the recording is closed."""
+        """Begin the end of an episode: ask the players the app's question before the recording is closed."""
         game = running.game
         if game.app.question and game.ended != "skipped" and running.here & set(game.drivers):
             running.asked = dict.fromkeys(running.here & set(game.drivers), time.monotonic())

@@ -50,8 +50,8 @@ class WorkerProcess:
         self._plans, self._heard, self._lost = plans, heard, lost
         self.games: set[str] = set()
         self.busy, self.measured, self.left = 0.0, 0, 0
-        """Share of a core that its games take by the CPU time of their median steps, how many games that is measured of, and
-        how many more stand still because their players have left."""
+        """Share of a core that the games take (CPU time of their median steps), number of games measured for it, and
+        number of games that stand still because their players have left."""
         self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._reading: asyncio.Task[None] | None = None
         ours, theirs = socket.socketpair()

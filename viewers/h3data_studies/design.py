@@ -153,8 +153,8 @@ class Item(Record, frozen=True):
     reversed: bool = False
     """True if the scale is reversed when the mean of the form is computed."""
     right: float | list[float] | None = None
-    """Right answer or answers (for a choice, the index of the option). An item with a right answer is a check, and does
-    not count in the mean of the form. It is not sent to pages."""
+    """Right answer or answers (for a choice, the index of the option, from 0). An item with a right answer is a check,
+    and does not count in the mean of the form. It is not sent to pages."""
 
     @property
     def right_answers(self) -> list[float] | None:

@@ -61,7 +61,7 @@ def read_design(path: Path) -> Design:
 
 
 def _in_words(fault: str) -> str:
-    """``Object contains unknown field `x` - at `$.device` `` as a sentence."""
+    """Return an error such as ``Object contains unknown field `x` - at `$.device` `` as a sentence."""
     found = _SECTION.search(fault)
     where = re.sub(r"\[(\d+)\]", lambda m: f" number {int(m[1]) + 1}", found[1]).replace(".", ", ") if found else ""
     text = _SECTION.sub("", fault)
@@ -91,7 +91,10 @@ def _with_consent(design: Design, path: Path) -> Design:
 
 
 def _with_weights(design: Design, path: Path) -> Design:
-    """Files of weights, named from the study file's folder, with their digest: other weights are another study."""
+    """Return files of weights relative to the study file's folder, with their digest.
+
+    Other weights make another study.
+    """
     base, conditions = path.parent.resolve(), []
     for condition in design.conditions:
         if condition.partner is not None and condition.partner.startswith(WEIGHTS):
@@ -102,7 +105,7 @@ def _with_weights(design: Design, path: Path) -> Design:
 
 
 def _with_relative(design: Design, base: Path) -> Design:
-    """Files of weights by their way from the study file's folder: a path of this machine is nobody else's business."""
+    """Return files of weights relative to the study file's folder, because paths of this machine are private."""
     conditions = [
         msgspec.structs.replace(c, partner=WEIGHTS + os.path.relpath(c.partner.removeprefix(WEIGHTS), base))
         if c.partner is not None and c.partner.startswith(f"{WEIGHTS}/")
@@ -184,7 +187,7 @@ def _check(design: Design) -> None:
 
 
 def _check_language(design: Design, language: str) -> None:
-    """A participant reads everything in one language."""
+    """Check that the texts are complete in each language, because a participant reads everything in one language."""
     lacks = missing(design, language)
     if lacks:
         shown = ", ".join(lacks[:8]) + (f" and {len(lacks) - 8} more" if len(lacks) > 8 else "")
@@ -202,7 +205,7 @@ def _check_language(design: Design, language: str) -> None:
 
 
 def _check_answers(form: Form) -> None:
-    """Checks that what is right in a form can be answered, and is not told by a rule without any check."""
+    """Check that the right answers of a form can be given, and that only forms with checks have attempts."""
     for item in form.items:
         right = item.right_answers
         if right is None:
@@ -384,7 +387,7 @@ def _check_playable(name: str, plan: PlayPlan) -> None:
 
 
 def _tutorial(design: Design) -> Condition:
-    """The tutorial as a condition, in the seat of the first one."""
+    """Return the tutorial as a condition, in the seat of the first one."""
     said = design.tutorial
     return Condition(
         name="tutorial", app=said.app, play_as=design.conditions[0].seats[0], partner="solo", rules=said.rules

@@ -106,7 +106,7 @@ class Focus(msgspec.Struct, frozen=True):
 
     away: bool
     why: Literal["hidden", "blur"] = "blur"
-    """Reason for the absence: the page was hidden, or another window had the keyboard focus."""
+    """Reason for the absence: the page was hidden, or only another window had the keyboard focus."""
     ms: Annotated[float, Meta(ge=0, le=1e9)] = 0.0
     """Duration of the absence, once the participant is back [ms]."""
 
@@ -174,7 +174,8 @@ class StudyServer(WebServer):
             if participant.is_active and not participant.progress.rows:
                 self._unchecked[participant.number] = ""
         self._lobby: dict[int, tuple[str, float]] = {}
-        """Participants who wait for the other one of their pair: the stage, and since when by the clock."""
+        """Participants who wait for the other member of their pair: the stage, and the start of waiting by the clock.
+        """
         self._joins: dict[str, tuple[float, float]] = {}
         """Number of participants who may still join from an address, and the time of that count."""
 
@@ -292,7 +293,7 @@ class StudyServer(WebServer):
         return self._answer(request, self._view(participant), token)
 
     def _require_patience(self, address: str) -> None:
-        """Counts a new participant of an address; refuses them where there were many."""
+        """Count a new participant of an address, or refuse them if the address has had many."""
         if list(self._unchecked.values()).count(address) >= MOST_UNCHECKED:
             raise web.HTTPServiceUnavailable(
                 text="Others are just beginning at your network address. Try again in some seconds."
@@ -395,7 +396,7 @@ class StudyServer(WebServer):
                 self._spawn(self._leave(game))
 
     async def _leave(self, game: Game) -> None:
-        """Ends the episode of somebody who will not come back; its recording is finished."""
+        """End the episode of a participant who will not come back, and finish its recording."""
         with contextlib.suppress(Failed, TimeoutError, web.HTTPException):
             if game.over:
                 return
@@ -420,7 +421,7 @@ class StudyServer(WebServer):
         return answer
 
     def _token(self, request: web.Request) -> str:
-        """Returns the token in the browser's cookie, if this server can have given it; else nothing."""
+        """Return the token in the browser's cookie if this server may have given it, else an empty text."""
         token = request.cookies.get(self._cookie(0), "")
         return token if len(token) == TOKEN_LENGTH else ""
 
@@ -434,7 +435,7 @@ class StudyServer(WebServer):
         return participant
 
     def _is_other(self, participant: Participant, ids: dict[str, str]) -> bool:
-        """Returns whether a link's ids are those of somebody else than ``participant``."""
+        """Return whether a link's ids belong to another person than ``participant``."""
         given = recruit_ids(ids, self._key).get("PROLIFIC_PID")
         return given is not None and given != participant.ids.get("PROLIFIC_PID", given)
 
@@ -497,7 +498,7 @@ class StudyServer(WebServer):
 
     # --- pairs --------------------------------------------------------------------------------------------------------
     async def _meet(self, participant: Participant) -> None:
-        """Waits until the other participant of the pair has come as far, if an episode is played by both.
+        """Wait until the other participant of the pair has come as far, if an episode is played by both.
 
         Raises:
             web.HTTPException: They have not come yet, or will not come.
@@ -521,7 +522,7 @@ class StudyServer(WebServer):
         self._lobby.pop(participant.number, None)
 
     def _lacks_company(self, participant: Participant) -> bool:
-        """Returns whether the next episode cannot begin because the other participant of the pair is elsewhere."""
+        """Return whether the next episode cannot begin because the other participant of the pair is elsewhere."""
         stage = participant.progress.stage
         if not participant.progress.is_shared(stage.key) or self.journal.shared_game(participant) is not None:
             return False
@@ -529,7 +530,7 @@ class StudyServer(WebServer):
         return other is None or not other.is_active or other.progress.stage.key != stage.key
 
     def _is_parted(self, participant: Participant) -> bool:
-        """Returns whether the next episode is for two, and the one with whom they have played before has left."""
+        """Return whether the next episode is for two, and the other participant of the pair has left."""
         other, progress = self.journal.company(participant), participant.progress
         return progress.is_shared(progress.stage.key) and progress.has_met and (other is None or not other.is_active)
 

@@ -64,7 +64,7 @@ def refused_id(given: dict[str, str], patterns: str | dict[str, str] | None) -> 
 
 
 def completion_code(pseudonym: str, key: bytes) -> str:
-    """Return the personal completion code of a participant: 10 letters and digits."""
+    """Return the completion code of one participant, which differs from all others: 10 letters and digits."""
     code = hmac.digest(key, f"complete|{pseudonym}".encode(), hashlib.sha256)
     return base64.b32encode(code[:7]).decode()[:10]
 

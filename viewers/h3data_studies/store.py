@@ -98,13 +98,13 @@ class StudyStore(SeatLog):
         self._load()
 
     def _migrate(self) -> None:
-        """Brings a database of an earlier version up to date."""
+        """Bring a database of an earlier version up to date."""
         with self._transaction():
             if "seen" in {name for _, name, *_ in self._db.execute("pragma table_info(participants)")}:
                 self._count_from_stamps()
 
     def _count_from_stamps(self) -> None:
-        """Computes the time that participants have used from dates, as versions before 0.3 stored them.
+        """Compute the time that participants have used from dates, as versions before 0.3 stored them.
 
         It is the time between a participant's rows. A gap in which they would have dropped out, had the study been
         served, is the server's and does not count, nor does a step of the clock.
@@ -189,7 +189,7 @@ class StudyStore(SeatLog):
         return other.is_active and not other.progress.has_met and self.shared_game(other) is None
 
     def _last_at(self, place: int) -> Participant | None:
-        """The participant who got a place last."""
+        """Return the last holder of a place."""
         return max((p for p in self.participants.values() if p.place == place), key=lambda p: p.number, default=None)
 
     # --- pairs --------------------------------------------------------------------------------------------------------
@@ -244,7 +244,7 @@ class StudyStore(SeatLog):
         return participant
 
     def _last_number(self) -> int:
-        """Numbers of people who were forgotten are not given again."""
+        """Return the number of the last participant; numbers of forgotten people are not given again."""
         return self.counted("last number")
 
     def count(self, name: str, by: int = 1) -> None:
@@ -297,7 +297,7 @@ class StudyStore(SeatLog):
             raise
 
     def _restore(self, participant: Participant) -> None:
-        """Brings a participant back to what is on the disk."""
+        """Bring a participant back to what is on the disk."""
         progress = participant.progress
         progress.rows.clear()
         participant.times.clear()

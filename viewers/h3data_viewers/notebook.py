@@ -172,7 +172,7 @@ def metrics_html(measured: EpisodeMetrics) -> str:
 
 
 def _metrics(measured: EpisodeMetrics) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the table of metrics."""
+    """Return the head and rows of the table of metrics."""
     head, *rows = measured.to_rows()
     if not measured.notes:
         return head, rows
@@ -186,7 +186,7 @@ def _html(**content: Any) -> str:
 
 
 def _strip(recording: Recording) -> tuple[list[tuple[str, int, str, float]], str]:
-    """Pictures evenly spread over a recording, from behind the robot or, without agents, from above.
+    """Return pictures evenly spread over a recording, from behind the robot or, without agents, from above.
 
     Returns:
         JPEG as a data URI, width [px], camera and time [s] of each picture; and the reason why there are none, else empty.

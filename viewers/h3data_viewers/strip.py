@@ -137,7 +137,7 @@ def _plan(replay: Replay) -> tuple[NDArray[np.uint8], Camera]:
 
 
 def _panel(replay: Replay, moment: KeyFrame, plan: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Time and caption, the view of a camera that follows the agent, a gap, and the plan, centred: RGB [H, W, 3]."""
+    """Return time and caption, the view of a camera that follows the agent, a gap, and the plan: RGB [H, W, 3]."""
     label = np.full((LABEL_PX, WIDTH_PX, 3), PAPER, np.uint8)
     _write(label, f"{moment.step * replay.recording.episode.dt_ns / 1e9:.1f} s", (4, 17), 0.5)
     _write(label, moment.text, (4, 37), 0.5)
@@ -183,7 +183,7 @@ def _name(recording: Recording, agent: int) -> str:
 
 
 def _positions(recording: Recording, agent: int) -> Array:
-    """Places of an agent, [T, 3] [m]."""
+    """Return the places of an agent, [T, 3] [m]."""
     return recording.agent_column(agent, "base_pose")[:, :3].astype(np.float64)
 
 

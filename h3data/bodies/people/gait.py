@@ -33,7 +33,7 @@ class GaitStyle:
 
     stance: float
     pitch: tuple[tuple[float, float], ...]
-    """Foot pitch over the cycle from heel strike: (phase, degrees, positive = toes up)."""
+    """Foot pitch over the cycle from heel strike on, as pairs of phase and angle [deg] (positive: toes up)."""
     loose: tuple[int, ...]
     """Indices of the rows of ``pitch`` whose offsets are fitted."""
     yaw: float
@@ -184,7 +184,7 @@ def strike_ahead(style: GaitStyle, shift: Array | float) -> Array | float:
 
 
 def _pitch_curve(style: GaitStyle, loose: Array, phase: Array, scale: Array) -> Array:
-    """Foot pitch [T] [deg] at phases [T], from a curve through knots, some of which are moved by ``loose`` [T, L].
+    """Return foot pitch [T] [deg] at phases [T], from a curve through knots, some of which ``loose`` [T, L] moves.
 
     The curve is monotone between knots. A cubic spline would overshoot, which would lift a flat foot's toes by 5 mm.
     """
@@ -196,7 +196,7 @@ def _pitch_curve(style: GaitStyle, loose: Array, phase: Array, scale: Array) -> 
 
 
 def _periodic_pchip(x: Array, y: Array, phase: Array) -> Array:
-    """Monotone cubic through knots x [K] in [0, 1), y [T, K], with period 1, at one phase [T] per row.
+    """Return the monotone cubic through knots x [K] in [0, 1), y [T, K], with period 1, at one phase [T] per row.
 
     Its slopes are those of Fritsch and Butland.
     """
@@ -231,11 +231,11 @@ def _foot_path(
     p: Mapping[str, Array],
     loose: Array,
 ) -> tuple[Array, Array]:
-    """Ankle [T, 3] and pitch [T] [deg] of a foot over its own cycle."""
+    """Return the ankle [T, 3] and pitch [T] [deg] of a foot over its own cycle."""
     stance = style.stance
 
     def standing(at: Array) -> tuple[Array, Array]:
-        """Ankle and pitch of a foot on the floor: its pivot moves back exactly as fast as the body forth."""
+        """Return the ankle and pitch of a foot on the floor: its pivot moves back exactly as fast as the body forth."""
         pitch = _pitch_curve(style, loose, at, scale)
         # toes up the heel stays on the floor, heel up the ball does
         pivot = np.where((pitch > 0)[:, None], points[0], points[1])
@@ -262,7 +262,7 @@ def _foot_path(
 
 
 def _set_trunk(quats: Array, yaw: Array, listing: Array, lean: float) -> None:
-    """The trunk turns against the pelvis and the head stays level."""
+    """Set the trunk, which turns against the pelvis while the head stays level."""
     for name, share in (("spine1", 0.5), ("spine2", 0.6), ("spine3", 0.6)):
         turn = rotation(Y, -share * yaw) @ rotation(Z, -0.33 * listing) @ rotation(X, np.full(len(yaw), 0.5))
         quats[:, JOINT_INDEX[name]] = quat_from_matrix(turn)
@@ -271,7 +271,7 @@ def _set_trunk(quats: Array, yaw: Array, listing: Array, lean: float) -> None:
 
 
 def _set_arm(quats: Array, side: str, sign: float, flexion: Array, elbow: Array, down: float) -> None:
-    """One arm hanging, swung forward by ``flexion`` [T] [deg], elbow bent by ``elbow`` [T] [deg], fingers half curled."""
+    """Set a hanging arm, swung by ``flexion`` [T] [deg] and bent by ``elbow`` [T] [deg], fingers half curled."""
     hang = rotation(X, -flexion) @ rotation(Z, np.full(len(flexion), -sign * down))
     quats[:, JOINT_INDEX[f"{side}_shoulder"]] = quat_from_matrix(hang)
     quats[:, JOINT_INDEX[f"{side}_elbow"]] = quat_from_axis_angle(Y, np.radians(-sign * elbow))

@@ -106,7 +106,7 @@ RAISED = 0.38
 
 
 def _keys() -> tuple[Array, NDArray[np.int64], Array]:
-    """Places, counts and numbers of all gestures as the kernel takes them."""
+    """Return the places, counts and numbers of all gestures as the kernel takes them."""
     sides = [side for gesture in GESTURES.values() for side in (gesture.left, gesture.right)]
     places = np.zeros((len(sides), max(map(len, sides)), 4))
     for row, side in zip(places, sides, strict=True):
@@ -149,7 +149,8 @@ def add_gestures(body: Humanoid, quats: Array, pelvis: Array, gestures: ArrayLik
 BOTH: tuple[Hand, Hand] = ("left", "right")
 """Left and right hand, in the order in which arrays of hands hold them."""
 CURL_RAD, HAND_TWIST_RAD = 0.55, 0.1
-"""Bend of the fingers around a held object, and the twist of the forearm and again of the wrist."""
+"""Bend of the fingers around a held object, and the twist of the forearm, to which the wrist adds the same twist [rad].
+"""
 ARMS = CARRY_JOINTS[:, 1:]
 """Joint indices of shoulder, elbow and wrist of the left and the right arm, [2, 3]."""
 
@@ -211,6 +212,6 @@ def lead_wrists(
 
 
 def _lead(body: Humanoid, quats: Array, pelvis: Array, hands: Array, *rest: Any) -> None:
-    """Calls the kernel, whose last arguments are ``rest``."""
+    """Call the kernel, whose last arguments are ``rest``."""
     left, right = (reacher(body, hand).body for hand in BOTH)
     lead_all(left, right, quats, pelvis, hands, *rest)

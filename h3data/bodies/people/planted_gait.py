@@ -142,12 +142,12 @@ class PlantedWalk:
     """Planted feet of a person whose root moves step by step, and who stands at first."""
 
     def __init__(self, tables: GaitTables, base: ArrayLike) -> None:
-        """``base`` [7] is the agent root."""
+        """Create a standing walk at ``base`` [7], the pose of the agent root."""
         from h3data.bodies.people.kernels.planted import STATE_COLUMNS, stride_one
 
         self.tables, self._stride_one = tables, stride_one
         self.state: Array = np.zeros(STATE_COLUMNS)
-        """A row of `planted_states` [K]; a copy of it keeps a moment."""
+        """Current state, as a row of `planted_states` [K]; copy it to store a moment."""
         self.stand(base)
 
     def stand(self, base: ArrayLike) -> None:

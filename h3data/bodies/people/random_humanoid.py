@@ -121,7 +121,7 @@ def _weights(rng: np.random.Generator, ages: Sequence[float], heights_m: Sequenc
 
 
 def _combined(weights: Sequence[float], arrays: Sequence[NDArray[Any]]) -> NDArray[np.float64]:
-    """Summed body by body, in this order: the same numbers on every machine."""
+    """Return the values summed body by body, in this order, so that the numbers are the same on every machine."""
     total = np.zeros(np.shape(arrays[0]))
     for weight, array in zip(weights, arrays, strict=True):
         total += weight * np.asarray(array, np.float64)
@@ -129,7 +129,7 @@ def _combined(weights: Sequence[float], arrays: Sequence[NDArray[Any]]) -> NDArr
 
 
 def _look(rng: np.random.Generator, like: Look, skin: NDArray[np.float64], *, gender: float, age: float) -> Look:
-    """About this skin; hair, face and clothes by chance, as they go with gender and age, 0..1."""
+    """Return random hair, face and clothes that go with gender, age and skin, 0..1."""
     # the order of the random numbers is part of what a seed means: new ones go last
     skin = np.clip(skin + rng.normal(0, 5, 3), 40, 245)
     dark = skin.mean() < 135  # fair hair is rare above dark skin

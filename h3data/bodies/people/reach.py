@@ -75,7 +75,7 @@ class ReachResult:
     inside the box, but the arm is too short (or the point too near the shoulder); ``invalid_posture``: the hand gets
     there only by falling over, bending too far or passing through the body."""
     quats: Array
-    """Local joint rotations xyzw, shape [55, 4]."""
+    """Local joint rotations xyzw, shape [55, 4], like one row of the result of `Humanoid.clip_pose`."""
     pelvis: Array
     """Position of the pelvis in the agent root frame, shape [3] [m]; if the target is not reached, for the posture at
     ``nearest_valid``."""
@@ -271,7 +271,7 @@ class ReachSolver:
         return found[int(np.argmin(np.linalg.norm(found - target, axis=1)))]
 
     def base_motion(self, target: Array) -> BaseMotion | None:
-        """Return the smallest motion of the base found after which ``target`` [3] [m] is reached.
+        """Return the smallest motion of the base, among those tried, after which ``target`` [3] [m] is reached.
 
         The motion turns the body to the target if the target is not in front of it.
         """
@@ -366,7 +366,7 @@ def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
 
 
 def _standing(body: Humanoid) -> tuple[Array, Array]:
-    """Local rotations [55, 4] and joint frames [55, 4, 4] of standing, in the body frame."""
+    """Return the local rotations [55, 4] and joint frames [55, 4, 4] of standing, in the body frame."""
     quats, pelvis = body.clip_pose([0], [0.0])
     back = quat_conjugate(ROOT_OF_BODY)
     quats[:, 0] = quat_multiply(back, quats[:, 0])
@@ -375,7 +375,7 @@ def _standing(body: Humanoid) -> tuple[Array, Array]:
 
 
 def _hanging_pole(body: Humanoid, frames: Array, hand: Hand, sign: float) -> Array:
-    """The elbow direction [3] of the standing arm in the chest frame, so that the kernel gives back the standing pose."""
+    """Return the elbow direction [3] in the chest frame with which the kernel gives the standing pose."""
     shoulder, wrist = frames[JOINT_INDEX[f"{hand}_shoulder"]], frames[JOINT_INDEX[f"{hand}_wrist"]]
     palm = wrist[:3, :3] @ grasp_point(body, hand) + wrist[:3, 3]
     along = (palm - shoulder[:3, 3]) / np.linalg.norm(palm - shoulder[:3, 3])

@@ -283,7 +283,7 @@ def _in_root(body: Humanoid, posture: Posture) -> tuple[Array, Array]:
 
 
 def _lay_hands_on_thighs(body: Humanoid, quats: Array, pelvis: Array, share: Array) -> None:
-    """Leads the hands of poses to the thighs by shares [T], in place."""
+    """Lead the hands of poses to the thighs by shares [T], in place."""
     places, targets = body.joint_matrices(IDENTITY_POSE, quats, pelvis)[..., :3, 3], []
     for side, sign, _ in SIDES:
         hip, knee = (JOINT_INDEX[f"{side}_{name}"] for name in ("hip", "knee"))

@@ -1,9 +1,9 @@
 """Inverse kinematics: joint positions that bring a point or a frame of a robot's link to a target.
 
 Damped least squares in the manner of Levenberg and Marquardt (Wampler 1986; Nakamura and Hanafusa 1986; Sugihara 2011):
-the damping shrinks while steps help and grows when they do not. A joint at a limit leaves the step as long as it pushes
-outwards. If the search stops far from the target, it is repeated from fixed pseudo-random postures, so the same target
-has the same solution, alone or in a batch.
+the damping shrinks while steps help and grows when they do not. A joint at a limit is left out of a step as long as the
+step would push it outwards. If the search stops far from the target, it is repeated from fixed pseudo-random postures,
+so the same target has the same solution, alone or in a batch.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def solve_ik(
 
 
 def _targets(robot: Robot, target: ArrayLike, base_pose: ArrayLike | None) -> tuple[NDArray, bool, tuple[int, ...]]:
-    """Targets [N, 4, 4] in the URDF base frame, whether their orientation counts, and their batch shape."""
+    """Return the targets [N, 4, 4] in the URDF base frame, whether their orientation counts, and their batch shape."""
     wanted = np.asarray(target, np.float64)
     if wanted.shape[-1:] not in ((3,), (7,)) or not np.isfinite(wanted).all():
         raise InputError(

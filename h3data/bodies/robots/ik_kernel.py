@@ -20,7 +20,7 @@ FREE_RANGE = math.pi
 
 @kernel_part()
 def _walk(target, oriented, weight, point, origins, kinds, axes, columns, gains, offsets, q, ends, jacobian, error):
-    """Errors [2] of posture ``q`` into ``ends``; their vector [6] into ``error``, its derivative [6, J] into ``jacobian``."""
+    """Write the errors [2] of posture ``q``, their vector [6] and its derivative [6, J]."""
     links = len(kinds)
     frame, next_frame = np.eye(4), np.eye(4)
     spots, lines = np.zeros((links, 3)), np.zeros((links, 3))
@@ -85,7 +85,7 @@ def _walk(target, oriented, weight, point, origins, kinds, axes, columns, gains,
 
 @kernel_part()
 def _rotation_vector(r):
-    """Axis times angle [3] of a rotation matrix."""
+    """Return the axis times angle [3] of a rotation matrix."""
     v = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2
     sine = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     cosine = (r[0, 0] + r[1, 1] + r[2, 2] - 1) / 2
@@ -104,7 +104,7 @@ def _rotation_vector(r):
 
 @kernel_part()
 def _solve(a, b, size):
-    """x with ``a x = b`` for a positive definite matrix; both arguments are overwritten, ``b`` with x."""
+    """Solve ``a x = b`` for a positive definite matrix; both arguments are overwritten, ``b`` with x."""
     for i in range(size):
         for j in range(i + 1):
             total = a[i, j]
@@ -124,7 +124,7 @@ def _solve(a, b, size):
 
 @kernel_part()
 def _step(jacobian, error, size, damping, q, free, lower, upper, move):
-    """The damped step of all joints into ``move``; those at a limit that push outwards stay."""
+    """Write the damped step of all joints into ``move``; joints at a limit that push outwards stay."""
     move[:] = 0
     still = np.zeros(len(q), np.bool_)
     a, b = np.empty((6, 6)), np.empty(6)

@@ -44,9 +44,9 @@ def link_frames(
 ) -> None:
     """Fill ``out`` [T, L, 4, 4] with link frames in the frame of ``root`` [T, 4, 4].
 
-    Links come parents first. Link l hangs on ``parents[l]`` (-1: the root) by ``origins[l]`` [4, 4]. By ``kinds[l]`` it
-    then turns about ``axes[l]`` by gains[l] * positions[t, columns[l]] + offsets[l], or slides along it by as much, or
-    takes the orientation of the quaternion (xyzw, of any length but 0) in the four columns from there.
+    Links come parents first. Link l is attached to ``parents[l]`` (-1: the root) at ``origins[l]`` [4, 4]. By
+    ``kinds[l]`` it then turns about ``axes[l]`` by gains[l] * positions[t, columns[l]] + offsets[l], or slides along it
+    by as much, or takes the orientation of the quaternion (xyzw, of any length but 0) in the four columns from there.
     """
     turn = np.empty((3, 3))
     frame = np.empty((3, 4))

@@ -200,7 +200,7 @@ class Robot:
         """Return `arm_columns`; raise an error if the robot has no arm.
 
         Raises:
-            InputError: It has no hand, or no joint moves it.
+            InputError: The robot has no hand, or no joint moves the hand.
         """
         if not self.arm_columns:
             why = "has no hand" if self.hand_link < 0 else f"has no joint that moves its hand {self.hand_name}"

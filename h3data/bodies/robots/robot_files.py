@@ -18,7 +18,7 @@ SETTINGS_NAME = "robot.toml"
 
 
 class RobotReader(NamedTuple):
-    """A reader of robots in files other than URDF."""
+    """Reader of robots in files other than URDF."""
 
     read: Callable[[Path], Urdf]
     """Function that reads a robot from a file."""

@@ -64,7 +64,7 @@ def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> Ro
 
     Raises:
         InputError: There is no such file.
-        FormatError: It is not a usable URDF.
+        FormatError: The file is not a usable URDF.
     """
     read, sure = with_stand_ins(_read(Path(urdf)))
     return GUESSES.get("settings")(_robot(read, RobotSettings(), up), sure, fold=not read.has_posture)
@@ -108,7 +108,7 @@ def _digest_of(*parts: tuple[Path | None, tuple[int, int]]) -> str:
 
 
 def check_robot(name_or_path: str | Path, sha256: str, *, agent: str) -> None:
-    """Raise an InputError unless the robot that was recorded for ``agent`` is there with the digest `robot_digest` gave.
+    """Raise an InputError unless the recorded robot of ``agent`` exists and has the recorded digest (`robot_digest`).
 
     An empty ``sha256`` (built-in robots, recordings made before there were digests) allows any robot.
     """
@@ -160,7 +160,7 @@ def _read(path: Path, *, allow_missing: bool = True) -> Urdf:
 
 
 def _reader(path: Path) -> RobotReader | None:
-    """Reader of a file by its suffix; None for URDF."""
+    """Return the reader of a file by its suffix; None for URDF."""
     suffix = path.suffix.lower()
     return READERS.get(suffix[1:]) if suffix in DESCRIPTIONS[1:] else None
 

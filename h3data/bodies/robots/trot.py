@@ -141,7 +141,7 @@ def _ahead(way: Array, heading: Array) -> Array:
 
 
 def _cycles(way: Array) -> Array:
-    """Cycles of a leg up to each step [T], from the distance covered [T]."""
+    """Return the cycles of a leg up to each step [T], from the distance covered [T]."""
     covered = np.diff(way)
     if not len(covered):
         return np.zeros(len(way))
@@ -162,7 +162,7 @@ def _feet(
     heights: NDArray[np.float64],
     lean: Array,
 ) -> Array:
-    """World positions of the feet at some rows of a base track, [len(rows), L, 3].
+    """Return the world positions of the feet at some rows of a base track, [len(rows), L, 3].
 
     ``feet`` [L, 3] are their places at rest, which on stairs are ``lean`` [T] ahead of the root.
     """
@@ -177,7 +177,7 @@ def _feet(
         cycle = np.floor(place)
 
         def planted(number: NDArray[np.float64], foot: Array = foot, begin: float = begin) -> Array:
-            """Place of the foot on the floor during a cycle [m]; before the first step it is that at rest."""
+            """Return the place of the foot on the floor in a cycle [m]; before the first step, the resting place."""
             middle = np.where(number <= begin, 0.0, number + TROT.duty / 2 - begin)
             x, y, z, turn = (np.interp(middle, cycles, v) for v in (*bases[:, :3].T, heading))
             at = transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]

@@ -117,7 +117,7 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
 
     Raises:
         InputError: There is no such file.
-        FormatError: It is not a URDF, or it uses unsupported features.
+        FormatError: The file is not a URDF, or it uses unsupported features.
         MissingAssetError: Mesh files are missing.
     """
     path = Path(path)
@@ -151,7 +151,10 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = Tru
 
 
 def _materials(robot: ElementTree.Element, issues: UrdfIssues) -> dict[str, tuple[int, int, int]]:
-    """Colours by name: those of the robot, then those first given inside links, which other links may name before or after."""
+    """Return the colours by name: those of the robot, then those that are first defined inside links.
+
+    Other links may use the names of the latter before or after their definition.
+    """
     colors: dict[str, tuple[int, int, int]] = {}
     unheard = UrdfIssues()  # materials inside links are read, and warned of, with their links
     for element, heard in (
@@ -219,7 +222,7 @@ def _parse(path: Path) -> ElementTree.Element:
 
 
 def _elements(text: bytes) -> ElementTree.Element:
-    """XML as elements whose prefixes are part of their names, so that they need no declaration."""
+    """Return XML as elements whose prefixes are part of their names, so that they need no declaration."""
     builder = ElementTree.TreeBuilder()
     parser = expat.ParserCreate()
     parser.StartElementHandler = lambda tag, attributes: builder.start(tag, attributes)

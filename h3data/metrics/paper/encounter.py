@@ -166,7 +166,7 @@ def _components(pose: NDArray[np.float32]) -> NDArray[np.float64]:
 def _found(
     robot: NDArray[np.float64], human: NDArray[np.float64], reach_m: NDArray[np.floating], limits: Thresholds
 ) -> tuple[dict[str, NDArray], tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """`found_series` of components [7, T], and the robot's forward direction (x, z) on the floor, zero where vertical."""
+    """Return `found_series` of components [7, T], and the robot's forward direction (x, z), zero where vertical."""
     dx, dy, dz = human[:3] - robot[:3]
     dist = np.sqrt(dx * dx + dy * dy + dz * dz)
     floor_dist = np.sqrt(dx * dx + dz * dz)

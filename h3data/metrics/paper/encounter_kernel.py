@@ -1,4 +1,4 @@
-"""Kernel for `encounter_series` of many rows: a tenth of NumPy's time, and equal to the last bit."""
+"""Kernel for `encounter_series` of many rows, ten times as fast as NumPy with bit-identical results."""
 
 # Eight rows at a time as LLVM vectors: their poses are transposed in registers, and what the next rows need of the last one
 # stays there. Loops over blocks of rows that LLVM vectorises itself take one and a half times as long, since they have to put
@@ -17,7 +17,7 @@ from h3data.kernels.vectors import DOUBLE8, FLOAT, INT64, LANES, Vec, fetch, int
 
 @intrinsic
 def fill_eights(typing_context, robot_pose, human_pose, reach_m, time_ns, limits, quantities, flags, first, count):
-    """Fill ``8 * count`` rows of the series, starting at row ``first``; eight rows are computed at a time."""
+    """Fill ``8 * count`` rows of the encounter series from row ``first`` on, eight rows at a time."""
 
     def codegen(context, b, signature, arguments):
         *arrays, first, count = (
@@ -88,13 +88,13 @@ def fill_eights(typing_context, robot_pose, human_pose, reach_m, time_ns, limits
 def fill_series(robot_pose, human_pose, reach_m, time_ns, starts, limits, quantities, flags):
     """Compute the series of `h3data.metrics.paper.encounter` for many episodes in one pass.
 
-    The operations and their order are those of `encounter_series`, so that the results are equal to the last bit.
+    The operations and their order are those of `encounter_series`, so that the results are bit-identical.
 
     Args:
-        robot_pose: poses of the robots, float32 [T, 7], the rows of all episodes after each other, eight or more.
-        human_pose: poses of the people, likewise.
+        robot_pose: poses of the robots, float32 [T, 7], with the rows of all episodes in sequence, at least eight.
+        human_pose: poses of the people, float32 [T, 7], for the same rows.
         reach_m: distance between the two agents that counts for following, measured along free paths [T] [m].
-        time_ns: times of the rows [T].
+        time_ns: times of the rows [T] [ns].
         starts: first row of each episode.
         limits: values of `Thresholds` in the order of its fields.
         quantities: filled with dist_m, reach_m, facing_dot and speed_m_s, [4, T].
@@ -112,7 +112,7 @@ def fill_series(robot_pose, human_pose, reach_m, time_ns, starts, limits, quanti
 
 
 def _columns(b, address, first):
-    """Four columns, from ``first`` on, of eight rows of seven float32 at ``address``, as float64."""
+    """Return four columns, from ``first`` on, of eight rows of seven float32 at ``address``, as float64."""
     kind = ir.VectorType(FLOAT, 4)
     halves = [load(b, address, 28 * row + 4 * first, kind) for row in range(LANES)]
     rows = [pick(b, halves[k], halves[k + 4], range(LANES)) for k in range(4)]

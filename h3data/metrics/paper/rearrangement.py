@@ -173,7 +173,7 @@ def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
 
 
 def _steps(recording: Recording, done: NDArray[np.bool_], notes: Notes) -> tuple[int, bool, int]:
-    """Steps until success or the end, whether it came in time, and the limit E."""
+    """Return the steps until success or the end, whether success came in time, and the limit E."""
     limit = recording.episode.info.get("max_steps")
     if not isinstance(limit, int) or limit < 1:
         limit = len(done)
@@ -196,7 +196,7 @@ def _efficiency(recording: Recording, joint_steps: int, limit: int, notes: Notes
 
 
 def _robot_share(recording: Recording, notes: Notes) -> float:
-    """Robots' share of the objects that were carried to their goals."""
+    """Return the robots' share of the objects that were carried to their goals."""
     at_goal = _at_goal(recording)
     objects = recording.episode.info["goal_objects"]
     if len(objects) != at_goal.shape[1]:

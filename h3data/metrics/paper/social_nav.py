@@ -94,7 +94,7 @@ class _Counted(NamedTuple):
 def _joined_series(
     recordings: Sequence[Recording], agents: Sequence[tuple[int, int]]
 ) -> tuple[dict[str, NDArray], NDArray[np.int64]]:
-    """`social_nav_series` of recordings, one after another, and where each begins and ends, shape [E + 1].
+    """Return `social_nav_series` of recordings, one after another, and where each begins and ends, shape [E + 1].
 
     ``collision`` is there if any of them has it.
     """
@@ -165,7 +165,7 @@ def _collision(recording: Recording, episode: _Counted, notes: Notes) -> float:
 
 
 def _distances(episode: _Counted, notes: Notes) -> dict[str, float]:
-    """S, BYR, TD and FD; nothing if no row has both poses."""
+    """Return S, BYR, TD and FD; nothing if no row has both poses."""
     distance = episode.distance
     rows = len(distance)
     count = rows - episode.unseen
@@ -198,7 +198,7 @@ def _mean(distance: NDArray[np.float64]) -> float:
 
 
 def _against_oracle(recording: Recording, steps: int, following: int, notes: Notes) -> dict[str, float]:
-    """SPS and F of an episode in which the human was found after ``steps`` (paper section 4.1)."""
+    """Return SPS and F of an episode in which the human was found after ``steps`` (paper section 4.1)."""
     info = recording.episode.info
     oracle = info.get("oracle_min_steps")
     if "oracle_min_steps" not in info:

@@ -82,7 +82,7 @@ class AssetFolders:
         return chosen
 
     def _files(self) -> Mapping[str, list[tuple[tuple[str, ...], Path]]]:
-        """Meshes and object configs below the roots by lower-case name, walked once."""
+        """Return the meshes and object configs below the roots by lower-case name, walked once."""
         if self._index is None:
             self._index = {}
             for root in self.roots:

@@ -40,13 +40,13 @@ class AssetLibrary:
         scene: Scene | None = None,
         own_folder: Path | None = None,
     ) -> None:
-        """Take the user's roots, a scene that answers ``scene:<asset>``, and the folder that came with a replay file."""
+        """Store the user's asset folders, a scene for names ``scene:<asset>``, and the folder of a replay file."""
         self.own_folder = own_folder
         self.folders = roots if isinstance(roots, AssetFolders) else AssetFolders(roots)
         self.scene = scene
         self.missing: list[str] = []
         self.unreadable: dict[str, str] = {}
-        """Reason by uri."""
+        """Reasons why asset files could not be read, by URI."""
 
     def __repr__(self) -> str:
         scene = f", scene {self.scene.name!r}" if self.scene else ""

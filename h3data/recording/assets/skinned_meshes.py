@@ -41,7 +41,7 @@ class SkinnedMesh:
         ``names`` holds the name of the joint that each bone moves; a joint without a bone follows the root. Bones are
         world frames without scale. The vertex of joint j is root F rigid(root)^-1 bone_j inverse_bind_j v, where F
         converts the file's axes to h3data's and rigid() removes the scale of a pose. As in habitat-sim, the asset's
-        frame and the instance's scale are applied to the result of the bones.
+        frame and the instance's scale are applied to the result of the bones (verified with bodies of scale 0.5).
         """
         of_bone = {name: number for number, name in enumerate(names)}
         # bones are recorded without scale, so the root must lose its own before they are compared

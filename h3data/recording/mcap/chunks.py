@@ -82,7 +82,9 @@ class CutRecording:
             yield inputs[self._inputs - 1]
 
     def skills(self, stop: int) -> Iterator[tuple[int, SkillSpan]]:
-        """Return the number and span of each skill that started before step ``stop``, but for those returned complete before.
+        """Yield the number and span of each skill that started before step ``stop``.
+
+        Skills that were already yielded as complete are left out.
 
         A skill that has not ended is ``running`` up to step ``stop - 1``.
         """

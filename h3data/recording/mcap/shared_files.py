@@ -65,5 +65,8 @@ def shared_files(record: Mapping[str, str], log: AnyPath) -> dict[str, bytes]:
 
 @lru_cache(maxsize=2)
 def _cached(path: Path, size: int, mtime_ns: int) -> bytes:
-    """Contents of a file, checked again when it changes: the recordings of a folder are usually read one after the other."""
+    """Return the contents of a file, which is read again when it changes.
+
+    The recordings of a folder are usually read one after the other.
+    """
     return FileStore(path.parent).get(path.name, what="A file shared by recordings", hint=_RESTORE)

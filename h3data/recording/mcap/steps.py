@@ -207,7 +207,7 @@ class McapSteps(Steps):
         return [0, *accumulate(counts)]
 
     def _decompressed(self, number: int) -> tuple[memoryview, dict[int, NDArray[np.uint64]]]:
-        """Decompressed records of a chunk, and the offsets of each channel's messages in them."""
+        """Return the decompressed records of a chunk, and the offsets of each channel's messages in them."""
         if number not in self._kept:
             chunk = self._chunks[number]
             data = self._bytes(chunk.chunk_start_offset, chunk.chunk_length + chunk.message_index_length)
@@ -224,7 +224,7 @@ class McapSteps(Steps):
         return self._kept[number]
 
     def _messages(self, channel: int, start: int, stop: int) -> Iterator[memoryview]:
-        """Messages ``start`` to ``stop - 1`` of a channel."""
+        """Yield messages ``start`` to ``stop - 1`` of a channel."""
         before = self._places[channel]
         number = bisect_right(before, start) - 1
         while start < stop:
@@ -245,7 +245,7 @@ class McapSteps(Steps):
         return replace(self._log, messages={c: list(self._messages(c, start, stop)) for c in self._per_step})
 
     def _whole(self, start: int, stop: int, *topics: str) -> Recording:
-        """These steps with all messages on some other topics."""
+        """Return these steps with all messages on some other topics."""
         log = self._with_steps(start, stop)
         for channel, before in self._places.items():
             if log.channels[channel][0] in topics:
@@ -254,7 +254,7 @@ class McapSteps(Steps):
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Opcode and body of consecutive records; raise an `EOFError` if the last is cut off."""
+    """Yield opcode and body of consecutive records; raise an `EOFError` if the last is cut off."""
     position = 0
     while position < len(data):
         opcode, length = RECORD_HEAD.unpack_from(data, position)

@@ -50,7 +50,7 @@ def to_arrow(rows: NDArray[Any]) -> pa.Array:
 
 
 def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, steps: int) -> NDArray[Any]:
-    """Return a stored column as a writable array in its own shape [steps, ...], without padding.
+    """Return a writable copy of a stored column in its own shape [steps, ...], without padding.
 
     ``declared`` is the column of the dataset; ``stored`` is None if the column has no width.
 

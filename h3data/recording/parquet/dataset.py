@@ -251,7 +251,7 @@ class Dataset(DatasetFolder):
             )
 
     def _groups(self, indices: range) -> Iterator[range]:
-        """Return runs of episodes of one shard with the same columns, which one read can return."""
+        """Yield runs of episodes of one shard with the same columns, which one read can return."""
         start = indices.start
         for index in indices[1:]:
             before, row = self.row(index - 1), self.row(index)

@@ -73,7 +73,7 @@ class DatasetFolder:
 
         Raises:
             InputError: there is no such folder, or it cannot be read.
-            FormatError: it is not a dataset of h3data, or its metadata are damaged.
+            FormatError: the folder is not a dataset of h3data, or its metadata are damaged.
         """
         self.root = place(root)
         try:
@@ -225,7 +225,7 @@ class DatasetFolder:
 
 
 def _chain_faults(table: pa.Table) -> list[str]:
-    """Gaps and overlaps between the episodes of an episode table: no episode is ever lost silently."""
+    """Return the gaps and overlaps between the episodes of an episode table: no episode is ever lost silently."""
     index, length, start, end = (
         numbers(table[n].combine_chunks())
         for n in ("episode_index", "length", "dataset_from_index", "dataset_to_index")

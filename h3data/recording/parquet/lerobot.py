@@ -100,7 +100,7 @@ def rebuild_meta(root: str | os.PathLike[str] | RemotePath) -> int:
 
 
 def _features(schema: DatasetSchema) -> dict[str, dict[str, Any]]:
-    """``features`` of info.json: every column of the data files, as LeRobot requires, and the videos."""
+    """Return ``features`` of info.json: every column of the data files, as LeRobot requires, and the videos."""
     pose7 = ["x", "y", "z", "qx", "qy", "qz", "qw"]
     # without names LeRobot takes a feature for numbers 0, 1, ...; of most columns only the recording knows more
     names = {c.name: pose7 if c.shape == (7,) else None for c in schema.columns}

@@ -28,8 +28,8 @@ class Moments:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     quantiles: NDArray[np.float64] | None = None
-    """`QUANTILES`, shape [5, width]. For several episodes they are means weighted by counts, as LeRobot aggregates
-    them. None if the dataset was written without them."""
+    """Values of the `QUANTILES`, shape [5, width]. For several episodes, they are means weighted by counts, as LeRobot
+    aggregates them. None if the dataset was written without them."""
 
     @property
     def std(self) -> NDArray[np.float64]:
@@ -72,7 +72,7 @@ def moments_of(values: NDArray[Any]) -> Moments:
 
 
 def _quantiles(x: NDArray[np.floating], count: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quantiles [5, width] of rows [T, width], NaN left out; 0 in columns without finite values.
+    """Return the quantiles [5, width] of rows [T, width], NaN left out; 0 in columns without finite values.
 
     Each is the smallest value that the quantile's share of the values does not exceed. LeRobot computes them from
     histograms, from which these differ by at most one bin.

@@ -49,7 +49,7 @@ class DatasetRecords:
     """Records of a dataset folder; tables of the most recently read shards are cached."""
 
     def __init__(self, root: AnyPath) -> None:
-        """Records of the dataset in ``root``."""
+        """Prepare reading the records of the dataset in ``root``."""
         self._root = root
         self._tables: dict[tuple[str, int], tuple[pa.Table, NDArray[np.int64]]] = {}
         self._files = FileStore(root / "h3" / "files")

@@ -207,7 +207,7 @@ class Shard:
             _sync(stream)
 
     def _parquet_options(self) -> dict[str, Any]:
-        """zstd-6, no dictionaries, BYTE_STREAM_SPLIT on floats: 424 B/step instead of 733 with pyarrow's defaults.
+        """Return the options of Parquet files: zstd-6, no dictionaries, BYTE_STREAM_SPLIT on floats.
 
         Poses and actions stay PLAIN because they have long runs of equal rows: a base pose takes 13.4 B/step instead of 14.9
         split, 20 objects 7.5 instead of 9.9; joint rotations take 790 plain, 699 split. Pages are as large as an episode's
@@ -249,7 +249,10 @@ def _video_place(key: str, number: int, start_s: float, end_s: float) -> dict[st
 
 
 def _episode_stats(key: str, moments: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, Any]:
-    """LeRobot's statistics of a feature in one episode as columns of the episode table, of this shape each, and [1]."""
+    """Return LeRobot's statistics of a feature in one episode as columns of the episode table.
+
+    Each column has the given shape, or [1].
+    """
     return {f"stats/{key}/{name}": values for name, values in lerobot_stats(moments, frames, shape).items()}
 
 

@@ -130,7 +130,7 @@ def _typed(table: pa.Table, schema: pa.Schema) -> pa.Table:
 
 
 def _groups(dataset: DatasetFolder, episodes: Iterable[int] | None) -> Iterator[list[int]]:
-    """Episodes with steps, in their order, in runs within one shard."""
+    """Yield the episodes that have steps, in their order, in runs within one shard."""
     rows = dataset.rows
     with_steps = (index for index in chosen_episodes(dataset, episodes) if rows[index]["length"])
     # in runs, not sorted: the rows come in the order in which episodes were asked for

@@ -204,7 +204,7 @@ class VideoAppender:
 
 
 def _packets(video: EpisodeVideo, stack: ExitStack) -> Iterator[Any]:
-    """The packets of an episode, in order; fewer if the file ends before."""
+    """Yield the packets of an episode, in order; fewer if the file ends before."""
     container = _opened(video.path, stack)
     stream = container.streams.video[0]
     try:

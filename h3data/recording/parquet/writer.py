@@ -355,7 +355,7 @@ def _listed(features: Sequence[VideoFeature]) -> str:
 
 
 def _checked_layout(recording: Recording, schema: DatasetSchema, *, any_rate: bool) -> Layout:
-    """Layout of a recording; an `InputError` lists every reason why it does not fit the dataset."""
+    """Return the layout of a recording; an `InputError` lists every reason why it does not fit the dataset."""
     layout = layout_of(recording.columns)
     declared = {c.name: c for c in schema.columns}
     faults = []

@@ -31,8 +31,9 @@ class EpisodeFiles:
     encode: Callable[[RearrangeEpisode], bytes]
     """Function that returns an episode in the form of the file."""
     scene_of: Callable[..., SceneSource]
-    """Function that returns the source of an episode's scene. It is called as ``(episode, stored, folder, *, assets,
-    allow_missing)`` with an episode from a file in ``folder`` and its `StoredEpisode`, or None."""
+    """Function that returns the source of an episode's scene. It is called as
+    ``(episode, stored, folder, *, assets, allow_missing)`` with an episode from a file in ``folder`` and its
+    `StoredEpisode`, or None."""
     add_objects: Callable[
         [Scene, Sequence[EpisodeObject], Sequence[str], Sequence[str]], tuple[Scene, Mapping[str, Array]]
     ]

@@ -74,7 +74,7 @@ def _centroids(vertices, faces):
 
 @kernel()
 def _select(order, keys, left, right, k):
-    """Reorders ``order[left..right]`` (inclusive) so that element k is in its sorted position by key (quickselect)."""
+    """Reorder ``order[left..right]`` (inclusive) so that element k is in its sorted position by key (quickselect)."""
     while right > left:
         a, b, c = keys[order[left]], keys[order[(left + right) // 2]], keys[order[right]]
         # the median of three: grids come sorted, and the first element as pivot would make that the worst case
@@ -99,7 +99,7 @@ def _select(order, keys, left, right, k):
 
 @kernel()
 def _split(centroids):
-    """Order of the triangles [F], and the start of each cluster in it followed by F, shape [C + 1]."""
+    """Return the order of the triangles [F], and the start of each cluster in it followed by F, shape [C + 1]."""
     count = len(centroids)
     order = np.arange(count).astype(np.int32)
     starts = np.empty(count // 40 + 2, np.int32)  # a split of 97 leaves at least 41
@@ -135,7 +135,7 @@ def _split(centroids):
 
 @kernel()
 def _lanes(order, starts):
-    """Triangle in every lane [P, 8], and the first packet of each cluster [C + 1]."""
+    """Return the triangle in every lane [P, 8], and the first packet of each cluster [C + 1]."""
     first = np.zeros(len(starts), np.int32)
     for c in range(len(starts) - 1):
         first[c + 1] = first[c] + (starts[c + 1] - starts[c] + 7) // 8
@@ -148,7 +148,10 @@ def _lanes(order, starts):
 
 @kernel()
 def _corners(faces, triangles, first):
-    """`Clusters.corners`. Unsigned, since kernels need not ask whether an index counts from the end: half the time."""
+    """Return `Clusters.corners` as unsigned numbers.
+
+    Kernels then need not test for negative indices, and take half the time.
+    """
     corners = np.empty((len(triangles), 3, 8), np.uint32)
     for c in range(len(first) - 1):
         # padding collapses to a vertex of its own cluster, so that the box stays tight when the mesh deforms

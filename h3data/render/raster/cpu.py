@@ -127,7 +127,7 @@ class CpuEngine:
             self._picture(world, view, drawing, results["rgb"], self.scene.patches, again=again)
 
     def _draw(self, camera: Camera, world: World, drawings: Drawings, *, fine: int = 1) -> tuple[View, Drawing, bool]:
-        """The view, a drawing that shows it, and whether it showed an earlier image of the same view before."""
+        """Return the view, a drawing that shows it, and whether it showed an earlier image of the same view before."""
         view, scene = view_of(camera, fine=fine), self.scene
         shown = world.shown(camera.hidden_layers)
         placement = Placement(scene.instance_mesh, world.matrix, shown)
@@ -156,7 +156,7 @@ class CpuEngine:
         *,
         again: bool,
     ) -> None:
-        """Shades a drawing into ``rgb``, or what is not there of the picture of its last image."""
+        """Shade a drawing into ``rgb``, or only the part that the picture of its last image lacks."""
         kept = drawing.picture if again else None
         drawing.picture = None
         # the second image of a view: a camera that moves never gets here, and need not keep pictures

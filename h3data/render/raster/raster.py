@@ -1,4 +1,6 @@
-"""The rasteriser: from clusters of triangles to a nearness buffer and a visibility buffer. One thread per image, no GIL.
+"""The rasteriser: from clusters of triangles to a nearness buffer and a visibility buffer.
+
+Each image is rendered by one thread without the GIL.
 
 Stages of one image:
 
@@ -7,15 +9,15 @@ Stages of one image:
 3. Cull each against the coarse depth of 8x8-pixel tiles, which is updated lazily.
 4. Set up eight triangles at a time in SIMD (`raster_simd.setup_triangles`).
 5. Fill them (`raster_fill`): small boxes by one block of 8 pixels per row; medium ones by float32 spans; large, thin or
-   near ones by homogeneous edge functions in double. These need no clipping, so there is no near plane unless the camera
-   asks for one.
+   near ones by homogeneous edge functions in double. These need no clipping, so there is no near plane unless the
+   camera asks for one.
 6. Last, draw the triangles with holes (`raster_cutouts`).
 
-A pixel's word in the visibility buffer is ``draw * 128 + triangle within the cluster``, or -1 in the background; a draw is
-the same cluster of the same instance in every image. Nearness is linear on the screen and increases towards the camera:
-1/z, or ``reach - z`` for orthographic cameras.
+A pixel's word in the visibility buffer is ``draw * 128 + triangle within the cluster``, or -1 in the background; a draw
+is a cluster of an instance, with the same number in every image. Nearness is linear on the screen and increases towards
+the camera: 1/z, or ``reach - z`` for orthographic cameras.
 
-A camera that stands still draws only the tiles again in which an instance that has changed is or was; see `rasterise`.
+For a static camera, only the tiles in which a changed instance is or was visible are rendered again (`rasterise`).
 """
 
 from __future__ import annotations
@@ -43,11 +45,11 @@ from h3data.render.raster.raster_draw import (
 from h3data.render.raster.raster_simd import NEAR_M
 
 FAR_PADDING = 1e30
-"""Nearness of the padding around the image, which is nearer than everything, so that it never fails an occlusion test."""
+"""Nearness of the padding around the image, larger than any other, so that padding never fails an occlusion test."""
 
 
 class Geometry(NamedTuple):
-    """The triangles of all meshes, and the bounding boxes of meshes and clusters."""
+    """Triangles of all meshes, and bounding boxes of meshes and clusters."""
 
     shared_packets: NDArray[np.float32]
     """Packets of the meshes that never change, shape [P, 9, 8]; shared by all renderers."""
@@ -73,13 +75,13 @@ class Placement(NamedTuple):
     mesh: NDArray[np.int32]
     """Mesh of each instance, shape [I]."""
     matrix: NDArray[np.float64]
-    """Mesh to world, shape [I, 3, 4]."""
+    """Matrix from mesh to world of each instance, shape [I, 3, 4]."""
     shown: NDArray[np.bool_]
     """True if the instance is drawn, shape [I]."""
 
 
 class View(NamedTuple):
-    """A camera as the kernels read it."""
+    """Camera in the form that kernels read."""
 
     axes: NDArray[np.float64]
     """Rotation, camera to world, shape [3, 3]."""
@@ -92,34 +94,34 @@ class View(NamedTuple):
     parallel: bool = False
     """True if the camera is orthographic."""
     near: float = 0.0
-    """Surfaces with a smaller z are cut away [m]."""
+    """Depth z below which surfaces are cut away [m]."""
     far: float = float("inf")
-    """Surfaces with a larger z count as background [m]."""
+    """Depth z above which surfaces count as background [m]."""
     reach: float = 0.0
-    """Orthographic cameras: a z beyond all instances [m] (`reach_of`)."""
+    """Depth z beyond all instances, for orthographic cameras [m] (`reach_of`)."""
 
 
 class Target(NamedTuple):
-    """Buffers for one image size. Rows and columns are padded, so that blocks of 8 pixels may overrun."""
+    """Buffers for one image size, with padded rows and columns so that blocks of 8 pixels may overrun."""
 
     inv_z: NDArray[np.float32]
     """Nearness of each pixel, 0 = background, shape [rows, stride] [1/m, orthographic: m]."""
     words: NDArray[np.int32]
-    """Visibility buffer, shape [rows, stride]."""
+    """Visibility buffer with the word of each pixel, shape [rows, stride]."""
     tile_inv_z: NDArray[np.float32]
     """Lower bound of nearness in each tile, shape [rows / 8, ceil(width / 8)]."""
     tile_stale: NDArray[np.uint8]
     """Flag of each tile: 1 if something was drawn since its bound was computed."""
     tile_drawn: NDArray[np.uint8]
-    """Flag of each tile: 1 if the last image was drawn there, 0 if it was taken over from the one before."""
+    """Flag of each tile: 1 if the tile was rendered in the last image, 0 if it was copied from the image before."""
     draws: NDArray[np.int32]
-    """The clusters of all instances, one instance after the other (columns: INSTANCE, CLUSTER, TILE_...), shape [D, 6]."""
+    """Clusters of all instances, ordered by instance (columns: INSTANCE, CLUSTER, TILE_...), shape [D, 6]."""
     near: NDArray[np.float32]
     """Smallest z of each draw, 0 = at the eye, -1 = not in the image, shape [D] [m]."""
     order: NDArray[np.int32]
-    """The draws in the order in which they were drawn, then -1, shape [D]."""
+    """Indices of the draws in the order of rendering, followed by -1, shape [D]."""
     camera_from_mesh: NDArray[np.float64]
-    """Mesh to camera, per instance, shape [I, 3, 4]."""
+    """Matrix from mesh to camera of each instance, shape [I, 3, 4]."""
     pixel_from_mesh: NDArray[np.float32]
     """The matrices `camera_from_mesh` with the first two rows times the focal lengths; for orthographic cameras the last row
     maps to nearness. Shape [I, 3, 4]."""
@@ -159,12 +161,12 @@ def reach_of(geometry: Geometry, placement: Placement, view: View) -> float:
 def rasterise(geometry, cutouts, placement, view, target, changed):
     """Render one image into ``target``; return the number of clusters in the frustum.
 
-    ``changed`` [I] marks the instances that differ from those that ``target`` shows in the same view: only the tiles in
-    which they are or were are drawn again. If its length is 0, everything is drawn.
+    ``changed`` [I] marks the instances that differ from the last image in ``target``, which has the same view. Only the
+    tiles in which these instances are or were visible are rendered again. If its length is 0, all tiles are rendered.
 
-    The result is the same to the last bit. In the tiles that are kept, nothing that is drawn again is nearer than what is
-    there, and where two surfaces are equally near, the first one wins as it did. Only another order of the instances that
-    have not changed could alter that, and then all is drawn.
+    The result is bit-identical to a full rendering. In unchanged tiles, no instance that is rendered again is nearer
+    than the present surfaces, and of two equally near surfaces the first one wins as before. Only another order of the
+    unchanged instances could change this, and in that case all tiles are rendered.
     """
     again = len(changed) > 0
     if again:
@@ -204,7 +206,7 @@ def _clear(target, width, height):
 
 @kernel_part()
 def _clear_tiles(target, width, height):
-    """`_clear` for the tiles that are drawn; the others hide everything."""
+    """Clear the tiles that are drawn, as `_clear` does; the others hide everything."""
     for ty in range(target.tile_drawn.shape[0]):
         for tx in range(target.tile_drawn.shape[1]):
             target.tile_stale[ty, tx] = 0
@@ -220,7 +222,7 @@ def _clear_tiles(target, width, height):
 
 @kernel_part()
 def _mark_tiles(geometry, placement, target, changed):
-    """Marks the tiles of the draws of changed instances."""
+    """Mark the tiles of the draws of changed instances."""
     draws, drawn, first = target.draws, target.tile_drawn, 0
     for i in range(len(changed)):
         mesh = placement.mesh[i]
@@ -249,7 +251,7 @@ def _cut_far(view, target):
 # --- frustum --------------------------------------------------------------------------------------------------------
 @kernel_part(forceinline=True)
 def _outside(planes, center, half, box):
-    """Returns whether a box lies entirely behind one of the 5 planes [5, 4]; NaN counts as outside."""
+    """Return whether a box lies entirely behind one of the 5 planes [5, 4]; NaN counts as outside."""
     for k in range(5):
         distance = planes[k, 3]
         for a in range(3):
@@ -262,7 +264,7 @@ def _outside(planes, center, half, box):
 
 @kernel_part(forceinline=True)
 def _pixel_span(middle, extent, near, far, focal, principal, size):
-    """Range of pixel coordinates covered by a camera-space interval at depths near..far, clipped to the image."""
+    """Return the range of pixels covered by a camera-space interval at depths near..far, clipped to the image."""
     low, high = middle - extent, middle + extent
     # what is left of the middle reaches farthest when it is near, what is right of it when it is far
     low = low / (near if low < 0 else far) * focal + principal
@@ -273,7 +275,7 @@ def _pixel_span(middle, extent, near, far, focal, principal, size):
 
 @kernel_part()
 def _place(i, matrix, view, target, planes):
-    """Fills an instance's matrices to camera space and to pixels, and the frustum planes in its mesh's frame."""
+    """Fill an instance's matrices to camera space and to pixels, and the frustum planes in its mesh's frame."""
     fx, fy, cx, cy = view.intrinsics
     to_camera, to_pixel = target.camera_from_mesh[i], target.pixel_from_mesh[i]
     for c in range(4):
@@ -294,7 +296,7 @@ def _place(i, matrix, view, target, planes):
 
 @kernel_part()
 def _place_parallel(i, view, target, planes):
-    """Adapts the result of `_place` to an orthographic camera, whose pixels do not depend on z.
+    """Adapt the result of `_place` to an orthographic camera, whose pixels do not depend on z.
 
     Kept apart from `_place`, so that its loop stays four columns in one vector.
     """
@@ -309,7 +311,7 @@ def _place_parallel(i, view, target, planes):
 
 @kernel_part()
 def _collect(geometry, placement, view, target):
-    """Fills the draws inside the frustum, their tiles and smallest z; returns their numbers."""
+    """Fill the draws inside the frustum, their tiles and smallest z; return their numbers."""
     fx, fy, cx, cy = view.intrinsics
     width, height = float(view.width), float(view.height)
     draws, near, center, half = target.draws, target.near, geometry.center, geometry.half
@@ -363,7 +365,7 @@ def _collect(geometry, placement, view, target):
 
 @kernel_part()
 def _front_to_back(near, listed):
-    """The listed draws by smallest z (counting sort, which is stable, so that images are reproducible)."""
+    """Return the listed draws by smallest z (counting sort, which is stable, so that images are reproducible)."""
     furthest = np.float32(1e-6)
     for draw in listed:
         furthest = max(furthest, near[draw])
@@ -385,7 +387,7 @@ def _front_to_back(near, listed):
 
 @kernel_part()
 def _same_order(order, target, changed):
-    """Returns whether all instances other than the changed ones are drawn in the same order as before."""
+    """Return whether all instances other than the changed ones are drawn in the same order as before."""
     k, count = 0, len(target.order)
     for draw in order:
         if changed[target.draws[draw, INSTANCE]]:

@@ -92,7 +92,7 @@ def draw_cutouts(geometry, cutouts, view, target, order):
 
 @kernel_part(error_model="numpy")
 def fill_cutout(p, view, is_near, box, target, word, cutouts, place, lane):
-    """Fill like `raster_fill.fill_large`, but only where the texture is solid and behind the near plane. Modifies ``p``."""
+    """Fill a triangle like `raster_fill.fill_large`, but only where its texture is solid and behind the near plane."""
     x0, x1, y0, y1 = np.int64(box[X0]), np.int64(box[X1]), np.int64(box[Y0]), np.int64(box[Y1])
     if is_near:
         x0, x1, y0, y1 = visible_box(p, view)

@@ -42,7 +42,7 @@ def nearness_of(z, view):
 
 @kernel_part()
 def screen_words(view):
-    """Return the camera's parameters for `setup_triangles`."""
+    """Return the camera's parameters as words for `setup_triangles`."""
     screen = np.empty(SCREEN_WORDS, np.float32)
     screen[CENTER_X], screen[CENTER_Y] = view.intrinsics[2], view.intrinsics[3]
     screen[SCREEN_WIDTH], screen[SCREEN_HEIGHT] = view.width, view.height
@@ -67,7 +67,7 @@ def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, r
 
 @kernel_part()
 def draw_clusters(geometry, cut_first, view, target, order):
-    """Draw the clusters in the given order, without those that cross the near plane or have holes (``cut_first`` >= 0)."""
+    """Draw the clusters in the given order, without clusters that cross the near plane or have holes (``cut_first`` >= 0)."""
     stride = target.inv_z.shape[1]
     row_bytes = np.uintp(stride * 4)
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
@@ -144,7 +144,10 @@ def has_near_plane(view):
 
 @kernel_part()
 def draw_cut(geometry, cut_first, view, target, order):
-    """Draw the clusters that cross the near plane, which `draw_clusters` skips: they are clipped and filled one by one."""
+    """Draw the clusters that cross the near plane, which `draw_clusters` skips.
+
+    Their triangles are clipped and filled one by one.
+    """
     stride = target.inv_z.shape[1]
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
     shared_count = len(geometry.shared_packets)
@@ -168,7 +171,7 @@ def draw_cut(geometry, cut_first, view, target, order):
 
 @kernel_part(forceinline=True)
 def lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
-    """Apply `hidden` to one triangle of a packet after set-up."""
+    """Return whether the tiles of one triangle of a packet are occluded (`hidden`), after its set-up."""
     nearest = table[INV_Z_MAX, lane] * OCCLUSION_MARGIN
     x0, x1, y0, y1 = boxes[X0, lane] >> 3, boxes[X1, lane] >> 3, boxes[Y0, lane] >> 3, boxes[Y1, lane] >> 3
     return hidden(x0, x1, y0, y1, nearest, bounds, stale, inv_z_at, row_bytes)

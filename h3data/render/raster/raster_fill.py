@@ -27,7 +27,7 @@ from h3data.render.raster.raster_simd import (
 )
 
 _ROWS_AHEAD = 2
-"""Rows from the one that is filled to the one that is fetched into the cache."""
+"""Number of rows between the row that is filled and the row that is prefetched into the cache."""
 
 
 @kernel_part(forceinline=True)
@@ -51,7 +51,7 @@ def fill_small(table, boxes, lane, inv_z_at, words_at, stride, word):
 
 @kernel_part(forceinline=True, error_model="numpy")
 def _cut(low, high, edge, step, minus_inverse):
-    """The part of the span low..high where ``edge + step * x >= 0``.
+    """Return the part of the span low..high where ``edge + step * x >= 0``.
 
     A zero step makes the crossing infinite or NaN; comparisons with NaN are false, which leaves the span unchanged.
     """
@@ -124,7 +124,10 @@ def camera_corners(soup, to_camera, corners):
 
 @kernel_part(error_model="numpy")
 def clip_near(pieces, near):
-    """Clip the triangle ``pieces[0]`` at z = near in camera space, into 0 to 2 triangles [2, 9]; return their number."""
+    """Clip the triangle ``pieces[0]`` at z = near in camera space into 0 to 2 triangles in ``pieces`` [2, 9].
+
+    Returns the number of triangles.
+    """
     polygon, count, corners = np.empty((4, 3)), 0, pieces[0]
     for v in range(3):
         a, b = corners[3 * v : 3 * v + 3], corners[3 * ((v + 1) % 3) : 3 * ((v + 1) % 3) + 3]
@@ -178,7 +181,10 @@ def visible_box(p, view):
 
 @kernel_part(forceinline=True)
 def cut_exact(low, high, edge, step, minus_inverse):
-    """Cut like `_cut`, in double precision; a zero step leaves the whole span or nothing."""
+    """Cut a span of pixels by an edge function like `_cut`, in double precision.
+
+    With a zero step the whole span remains, or nothing.
+    """
     crossing = edge * minus_inverse
     if step > 0:
         return (crossing if crossing > low else low), high

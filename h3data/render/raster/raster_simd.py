@@ -24,7 +24,7 @@ from h3data.kernels.vectors import (
 )
 
 NEAR_M = 0.02
-"""Triangles nearer than this [m] take the exact homogeneous path. Not a near plane: nothing is cut away."""
+"""Depth below which triangles are filled by exact homogeneous edge functions [m]; it is not a near plane."""
 
 # Rows of the table that `setup_triangles` writes, 8 lanes each.
 E0, E1, E2, INV_Z = 0, 1, 2, 3  # edge values and nearness at the first pixel centre of the box
@@ -95,7 +95,7 @@ def blend_block(typing_context, inv_z_at, word_at, e0, e1, e2, inv_z, e0_dx, e1_
 
 @intrinsic
 def fetch_ahead(typing_context, address):
-    """Prefetch the cache line at ``address``, which may lie anywhere."""
+    """Prefetch the cache line at ``address``, which may be any address."""
 
     def codegen(context, builder, signature, arguments):
         fetch(builder, arguments[0])
@@ -113,7 +113,7 @@ def _largest(v: list[Vec]) -> Vec:
 
 
 def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at: Any, *, parallel: bool) -> Any:
-    """See `setup_triangles`."""
+    """Emit the code of a set-up, as `setup_triangles` describes."""
     m = [spread(b, matrix_at, k) for k in range(12)]
     screen = [spread(b, screen_at, k) for k in range(SCREEN_WORDS)]
     center_x, center_y, width, height = screen
@@ -197,9 +197,10 @@ def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at
 def setup_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
     """Transform, project, cull and set up the 8 triangles of one packet.
 
-    Takes the addresses of the packet (9 rows x 8 lanes: x y z of three vertices), the 3x4 matrix to camera space with its
-    first two rows times the focal lengths, the words of the screen, and the output table [SETUP_ROWS, 8]. Returns three
-    masks of the remaining triangles: bits 0-7 small; 8-15 large, sliver or near the eye; 16-23 medium.
+    The arguments are the addresses of the packet (9 rows x 8 lanes: x y z of three vertices), the 3x4 matrix to camera
+    space with its first two rows times the focal lengths, the words of the screen, and the output table [SETUP_ROWS,
+    8]. Returns three masks of the remaining triangles: bits 0-7 small; 8-15 large, sliver or near the eye; 16-23
+    medium.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -210,7 +211,7 @@ def setup_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
 
 @intrinsic
 def setup_parallel_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
-    """Set up triangles as `setup_triangles` does, for an orthographic camera; the matrix's last row maps to nearness."""
+    """Set up the 8 triangles of one packet for an orthographic camera; the last row of the matrix maps to nearness."""
 
     def codegen(context, builder, signature, arguments):
         return _emit_setup(builder, *arguments, parallel=True)

@@ -1,22 +1,24 @@
-"""Soft shadows of moving things: capsules that keep light from the pixels around them.
+"""Soft shadows of moving objects: capsules that block light from the pixels around them.
 
-A capsule takes two kinds of light from a point with normal n:
+A capsule blocks two kinds of light from a point with normal n:
 
-- **Light from everywhere.** With the nearest point of the axis at distance d in direction w, a sphere of radius r covers
-  ``max(n . w, 0) r^2 / d^2`` of the cosine-weighted hemisphere and an endless cylinder ``max(n . w, 0) r / d``: form factors
-  (Siegel and Howell, "Thermal Radiation Heat Transfer", appendix C), exact above the horizon. A capsule lies between them:
-  ``r / d`` times the mean of both its halves' extents over d, at most 1. It is windowed by ``(1 - (d / range)^4)^2``
-  (Karis 2013, "Real Shading in Unreal Engine 4", for lights), so that a capsule matters to few pixels.
+- **Light from everywhere.** With the nearest point of the axis at distance d in direction w, a sphere of radius r
+  covers ``max(n . w, 0) r^2 / d^2`` of the cosine-weighted hemisphere and an endless cylinder ``max(n . w, 0) r / d``:
+  form factors (Siegel and Howell, "Thermal Radiation Heat Transfer", appendix C), exact above the horizon. A capsule
+  lies between them: ``r / d`` times the mean of both its halves' extents over d, at most 1. It is windowed by
+  ``(1 - (d / range)^4)^2`` (Karis 2013, "Real Shading in Unreal Engine 4", for lights), so that a capsule affects few
+  pixels.
 - **Light from one direction.** The sphere around the point of the axis that is nearest to the ray towards the light
-  (closest points of a line and a segment: Ericson 2005, "Real-Time Collision Detection", 5.1.8) covers a part of the light's
-  disc: the overlap of two discs by a smooth step between touching and containing (Oat and Sander 2007, "Ambient Aperture
-  Lighting"), times the share of the disc that the capsule can cover at most. Shadows are sharp where a foot stands on the
-  floor and dissolve with distance.
+  (closest points of a line and a segment: Ericson 2005, "Real-Time Collision Detection", 5.1.8) covers a part of the
+  light's disc: the overlap of two discs by a smooth step between touching and containing (Oat and Sander 2007, "Ambient
+  Aperture Lighting"), times the share of the disc that the capsule can cover at most. Shadows are sharp where a foot
+  stands on the floor and dissolve with distance.
 
-Each group of capsules, one person or robot or thing, has one direction and share of the light (`h3data_light.field`);
-Iwanicki 2013 ("Lighting Technology of The Last of Us") splits light in this way. The point loses ``f`` of what is blocked of
-the direction and ``1 - f`` of the rest, ``f = share (n . l) / (share (n . l) + (1 - share) / 4)``: a share of 1 - s of the
-light from everywhere alike gives a surface a quarter of it. A group does not darken itself.
+Each group of capsules (one person, robot or object) has one direction of light and its share (`h3data_light.field`);
+Iwanicki 2013 ("Lighting Technology of The Last of Us") splits light in this way. The point loses the share ``f`` of the
+blocked light from the direction and ``1 - f`` of the blocked light from everywhere,
+``f = share (n . l) / (share (n . l) + (1 - share) / 4)``: a surface receives a quarter of uniform light from
+everywhere. A group does not darken itself.
 """
 
 from __future__ import annotations
@@ -60,17 +62,17 @@ from h3data.render.shade.blockers_simd import (
 )
 
 TILE_X, TILE_Y = 16, 8
-"""Pixels of an image that share a list of capsules."""
+"""Height and width of the tiles of an image, each with a list of capsules [px]."""
 _ALL, _ONE = 1, 2
-"""Bits of a capsule in a list: it takes light from everywhere, and light from one direction."""
+"""Bits of a capsule in a list, which state that it blocks light from everywhere and light from one direction."""
 
 
 @dataclass(frozen=True, eq=False)
 class Blockers:
-    """Capsules that keep light from surfaces at one step, and the light on moving instances."""
+    """Capsules that block light from surfaces at one step, and the light on moving instances."""
 
     rows: NDArray[np.float32]
-    """Capsules as laid out in `blockers_simd`, those of a group one after another, shape [N, BLOCKER_WORDS]."""
+    """Capsules as laid out in `blockers_simd`, sorted by group, shape [N, BLOCKER_WORDS]."""
     tints: NDArray[np.float32]
     """Factor on the colour of each instance of the scene and its group (-1 = none), shape [I, 4]."""
 
@@ -85,10 +87,10 @@ def blocker_rows(
     """Return the rows of capsules for the kernels.
 
     Args:
-        capsules: Both ends of the axes and radii [N, 7] [m]. Those that are not finite are left out.
+        capsules: Both ends of the axes and radii [N, 7] [m]. Capsules that are not finite are left out.
         groups: Group of each capsule [N].
         light: Unit direction towards the light [N, 3], equal within a group.
-        share: Share of the light that comes from it [N], likewise.
+        share: Share of the light that comes from this direction [N], equal within a group.
         reach_m: Distance from each capsule to the first wall behind it, away from the light [N] [m].
     """
     c = np.asarray(capsules, np.float64).reshape(-1, 7)
@@ -117,12 +119,12 @@ def blocker_rows(
 
 
 def _range_m(radius: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Distance from the axis beyond which a capsule occludes nothing, by its radius [m]."""
+    """Return the distance from the axis beyond which a capsule occludes nothing, by its radius [m]."""
     return 4.0 * radius + 0.12
 
 
 def _spheres(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Spheres that enclose all that each capsule may darken, centre and radius, shape [N, 4, 4].
+    """Return the spheres that enclose all that each capsule may darken, centre and radius, shape [N, 4, 4].
 
     The first lies around the capsule, the other three along its shadow.
     """
@@ -143,16 +145,17 @@ def _spheres(rows: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 class Tiled(NamedTuple):
-    """Capsules and the tiles of an image in which they matter, for the kernels."""
+    """Capsules and the tiles of an image that they affect, in the form for kernels."""
 
     rows: NDArray[np.float32]
     tints: NDArray[np.float32]
-    """`Blockers.tints`, or [0, 4]: nothing is tinted."""
+    """Factors and groups of instances (`Blockers.tints`), shape [I, 4], or [0, 4] without tints."""
     first: NDArray[np.int32]
-    """Index in ``listed`` at which the list of each tile begins, row by row, shape [tiles + 1]; [0] if there are no
+    """Index in ``listed`` at which the list of each tile starts, row by row, shape [tiles + 1]; [0] if there are no
     capsules."""
     listed: NDArray[np.int32]
-    """Capsules of each tile: four times the index of the capsule, plus two bits that say which light it blocks."""
+    """Capsules of each tile: four times the index of the capsule, plus two bits for the kinds of light that it
+    blocks."""
     inv_z: NDArray[np.float32]
     """Value 1/z of each pixel of the target, also for orthographic cameras."""
 
@@ -190,7 +193,10 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
 
 
 def changed_tiles(before: Tiled, after: Tiled) -> NDArray[np.uint8]:
-    """Return 1 for each tile of an image whose capsules have changed, uint8 [tiles]; [0] without capsules before and after."""
+    """Return 1 for each tile of an image whose capsules have changed, uint8 [tiles].
+
+    The shape is [0] if there are no capsules before and after.
+    """
     if not len(before.first) and not len(after.first):
         return np.zeros(0, np.uint8)
     tiles = max(len(before.first), len(after.first)) - 1
@@ -217,7 +223,7 @@ def _compare_tiles(earlier, listed_earlier, first, listed, same, changed):
 
 
 def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
-    """Boxes on the screen around the spheres of each capsule [N, S, 4], as [N, 6].
+    """Return the boxes on the screen around the spheres of each capsule [N, S, 4], as [N, 6].
 
     A box reaches from x, y [px] and 1/z to x, y and 1/z; it is 1e9 to 0 if no sphere is visible.
     """
@@ -248,7 +254,7 @@ def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray
 
 @kernel(error_model="numpy", boundscheck=False)
 def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
-    """Lists the capsules of every tile by the space that is seen in it; returns the length of all lists together.
+    """List the capsules of every tile by the space that is seen in it; return the length of all lists together.
 
     ``seen`` [n, 6] (`_on_screen`) is that of the capsules ``index`` [n].
     """
@@ -290,7 +296,7 @@ def _fill_tiles(seen, index, rows, view, inv_z, factor, first, listed):
 
 @kernel_part()
 def _around_tile(view, factor, x0, x1, y0, y1, near, far):
-    """A sphere around all points of a tile between two distances: x, y, z, radius."""
+    """Return a sphere around all points of a tile between two distances: x, y, z, radius."""
     fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
     # the sphere around a box around the eight corners: loose, but only a filter before the exact kernels
     low, high = (1e9, 1e9, 1e9), (-1e9, -1e9, -1e9)
@@ -312,7 +318,7 @@ def _around_tile(view, factor, x0, x1, y0, y1, near, far):
 
 @kernel_part(forceinline=True)
 def _matters(rows, n, around):
-    """Which light a capsule may take from points in a sphere; the distances are those of `blockers_simd.block_block`."""
+    """Return which light a capsule may take from points in a sphere, by distances of `blockers_simd.block_block`."""
     px, py, pz = around[0] - rows[n, START], around[1] - rows[n, START + 1], around[2] - rows[n, START + 2]
     ax, ay, az = rows[n, ALONG], rows[n, ALONG + 1], rows[n, ALONG + 2]
     lx, ly, lz = rows[n, LIGHT], rows[n, LIGHT + 1], rows[n, LIGHT + 2]
@@ -342,16 +348,16 @@ def _matters(rows, n, around):
 # --- inside the shading kernel -------------------------------------------------------------------------------------------
 @kernel_part(forceinline=True)
 def owner_of(blockers, target, word):
-    """Return the group of the instance that a pixel's word shows; -1 if it has no group."""
+    """Return the group of the instance in a pixel's word, or -1 if it has no group."""
     instance = target.draws[word >> 7, INSTANCE]
     return blockers.tints[instance, 3]
 
 
 @kernel_part(forceinline=True)
 def set_rays(rays, lane, view, axes, u, v, step):
-    """Fill the rays from ``lane`` on: the first pixel looks along (u, v, 1), the next along (u + step, v, 1), and so on.
+    """Fill the rays of pixels from ``lane`` on, with directions (u, v, 1), (u + step, v, 1), and so on.
 
-    ``axes`` are those of the directions.
+    ``axes`` [3, 3] rotates the directions from the camera to the world.
     """
     for k in range(3):
         aside = view.axes[k, 0] if view.parallel else 0.0

@@ -1,7 +1,8 @@
-"""Light that capsules take from 8 pixels at a time, as numba intrinsics; `blockers` says what is computed and why.
+"""Numba intrinsics that compute the light that capsules block from 8 pixels at a time, as described in `blockers`.
 
-There is no fused arithmetic here, so that NumPy in float32 gives the same numbers, bit for bit. What takes nothing from any
-of the 8 is left out early, before roots and divisions, which changes no number: it would multiply by 1.
+There is no fused arithmetic here, so that NumPy in float32 gives the same numbers, bit for bit. Capsules that block no
+light from any of the 8 pixels are skipped before roots and divisions. This changes no result, because their factor is
+1.
 """
 
 from __future__ import annotations
@@ -34,9 +35,10 @@ GROUP, SHARE, LENGTH, PER_RADIUS = 17, 18, 19, 20
 BLOCKER_WORDS = 21
 
 SPREAD = 0.30
-"""Tangent of the angular radius of the light: that of a window 1.2 m wide, 2 m away."""
+"""Tangent of the angular radius of the light, which is that of a window of 1.2 m at a distance of 2 m."""
 FADE_M, KEPT_M = 0.25, 0.1
-"""A shadow is whole up to this far beyond its reach, and gone so much later: walls stop it (`h3data_light.field`)."""
+"""Distance beyond its reach up to which a shadow is complete, and the further distance over which it vanishes behind
+walls (`h3data_light.field`) [m]."""
 DARKEST = 0.22
 """Share of its light that a surface keeps when all of it is blocked; see `h3data_light.bake`."""
 
@@ -71,7 +73,7 @@ def _constant(b: Any, value: float) -> Vec:
 
 
 def _any_positive(b: Any, *values: Vec) -> Any:
-    """Returns whether all ``values`` are above 0 in one of the lanes at least, as a condition for ``if_then``."""
+    """Return whether all ``values`` are above 0 in one of the lanes at least, as a condition for ``if_then``."""
     least = functools.reduce(Vec.minimum, values)
     return b.icmp_unsigned("!=", least.compare(">", 0.0).bits(0), ir.Constant(INT, 0))
 
@@ -87,7 +89,7 @@ _p = types.uintp
 
 @intrinsic
 def begin_block(typing_context, rays_at, near_at, scratch_at):
-    """Compute the positions of 8 pixels from their rays and 1/z, and set the light that is left to all of it."""
+    """Compute the positions of 8 pixels from their rays and 1/z, and set their remaining light to 1."""
 
     def codegen(context, b, signature, arguments):
         rays_at, near_at, scratch_at = arguments
@@ -109,7 +111,7 @@ def _from_start(b: Any, blocker_at: Any, scratch_at: Any) -> Triple:
 
 
 def _take(b: Any, taken: Vec, blocker_at: Any, owners_at: Any, scratch_at: Any, row: int) -> None:
-    """Multiplies a row of the scratch space by what is left, except for pixels of the capsule's own group."""
+    """Multiply a row of the scratch space by what is left, except for pixels of the capsule's own group."""
     own = Vec(b, load(b, owners_at)).compare("==", spread(b, blocker_at, GROUP))
     # 1 - taken: vectors have no number on the left of an operator
     left = (-(taken - 1.0)).where(~own, 1.0)

@@ -1,4 +1,4 @@
-"""Arrays without reference counts, whose atomic operations would cost more than the small functions that use them."""
+"""Arrays without reference counts, because counting would take longer than the small functions that use them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from h3data.kernels.vectors import intrinsic
 def borrowed(typing_context, value):
     """Return the same array, or tuple of arrays, without ownership of its memory; the caller must keep it alive.
 
-    Numba increments a reference count whenever an array is taken out of a tuple.
+    Numba increments a reference count whenever an array is read from a tuple.
     """
 
     def codegen(context, builder, signature, arguments):

@@ -1,8 +1,9 @@
-"""Cut-outs: where a texture is less than half opaque, the surface has a hole in every output.
+"""Cut-outs: holes of a surface in all outputs, where its texture is less than half opaque.
 
 Only triangles that overlap a hole of their texture are *cut out*; they have clusters of their own, which the rasteriser
-draws after all others, pixel by pixel. Opacity is interpolated bilinearly in the finest mip level, because whether a point
-is solid must not depend on the viewing distance. A texture that is nowhere half opaque (a tinted pane) has no holes.
+draws after all others, pixel by pixel. Opacity is interpolated bilinearly in the finest mip level, because whether a
+point is solid must not depend on the viewing distance. A texture that is nowhere half opaque (a tinted pane) has no
+holes.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ SOLID = 127.5
 
 
 class Cutouts(NamedTuple):
-    """The cut-out clusters, as the rasteriser reads them."""
+    """Cut-out clusters in the form that the rasteriser reads."""
 
     first: NDArray[np.int32]
-    """Row of each cluster's first packet in the arrays below, -1 = not cut out; shape [C], or [0] if there are none."""
+    """Row of each cluster's first packet in ``uv`` and ``textures``, -1 = not cut out; shape [C], or [0] if there are
+    none."""
     uv: NDArray[np.float32]
     """Texture coordinates of packets, s t of the three vertices [repeats], shape [Q, 6, 8]."""
     textures: NDArray[np.int32]
@@ -39,7 +41,7 @@ class Cutouts(NamedTuple):
 def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return whether triangles with texture coordinates [F, 3, 2] may overlap a hole of a texture [H, W, 4], shape [F].
 
-    Conservative: counts clear texels in the triangles' bounding boxes by a summed-area table.
+    The test is conservative: it counts transparent texels in the triangles' bounding boxes by a summed-area table.
     """
     opacity = pixels[..., 3]
     if not len(uv) or not has_holes(opacity):
@@ -54,7 +56,7 @@ def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArra
     clear.cumsum(0, dtype=np.int32).cumsum(1, out=count[1:, 1:])
 
     def before(y: NDArray[np.int64], x: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Number of clear texels in rows below y and columns below x of the repeated texture."""
+        """Return the number of transparent texels in rows below y and columns below x of the repeated texture."""
         (rows, y), (columns, x) = np.divmod(y, clear.shape[0]), np.divmod(x, clear.shape[1])
         return rows * (columns * np.int64(count[-1, -1]) + count[-1, x]) + columns * count[y, -1] + count[y, x]
 
@@ -64,7 +66,7 @@ def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArra
 def pack_cutouts(
     cut_out: NDArray[np.bool_], surface: Surface, cluster_packets: NDArray[np.int32], textures: Sequence[Texture]
 ) -> Cutouts:
-    """Build the tables of a scene; ``cut_out`` [F] marks the cut-out faces, all or none of each cluster."""
+    """Build the tables of cut-outs of a scene; ``cut_out`` [F] marks the cut-out faces, all or none of each cluster."""
     if not cut_out.any():
         return Cutouts(
             first=np.zeros(0, np.int32),
@@ -111,7 +113,7 @@ def has_holes(opacity: NDArray[np.uint8]) -> bool:
 
 @kernel_part(forceinline=True)
 def _texel_before(coordinate, size):
-    """The texel whose centre lies just before a coordinate [repeats], and the fraction beyond it.
+    """Return the texel whose centre lies just before a coordinate [repeats], and the fraction beyond it.
 
     Always within the texture, even for NaN and infinite coordinates.
     """
@@ -139,7 +141,7 @@ def is_solid(maps, opacity, texture, s, t):
 
 @kernel()
 def solid_points(maps, opacity, textures, uv):
-    """Return `is_solid` of points, shape [N]; ``textures`` [N], ``uv`` [N, 2]."""
+    """Return whether textures [N] are at least half opaque (`is_solid`) at points ``uv`` [N, 2], shape [N]."""
     out = np.ones(len(textures), np.bool_)
     for k in range(len(textures)):
         out[k] = is_solid(maps, opacity, textures[k], uv[k, 0], uv[k, 1])

@@ -1,8 +1,8 @@
-"""Choose the pixels of a row that are shaded again, for a camera that stands still.
+"""Selection of the pixels of a row that are shaded again, for a static camera.
 
-A pixel's colour depends on what it and its run of equal pixels show, on the occlusion around it, and on the capsules of its
-tile. Runs are shaded in blocks of 8 pixels from their first one, so that a pixel is rounded as before only where its run
-begins as before.
+A pixel's colour depends on the surface in it and its run of equal pixels, on the occlusion around it, and on the
+capsules of its tile. Runs are shaded in blocks of 8 pixels from their first pixel, so a pixel is rounded as before only
+if its run starts at the same pixel.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from h3data.kernels import kernel_part
 from h3data.render.shade.blockers import TILE_X, TILE_Y
 
 SEEN, LIT, SHADED = 1, 2, 4
-"""Bits of a mark: what is visible may differ from the previous picture, only its light may differ, and the pixel has
-been shaded."""
+"""Bits of a mark, which state that the visible surface may have changed, that only its light may have changed, and that
+the pixel has been shaded."""
 
 
 @kernel_part()
 def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
     """Fill the marks of a row [W + 8] of the picture; return whether there are any.
 
-    ``drawn`` are the tiles of 8 pixels of the target, which has ``factor`` times the picture's size, that were drawn again;
-    ``occlusion_changed`` marks pixels of half the resolution, of which each lights its neighbours; ``cast_changed`` the
-    tiles of capsules.
+    ``drawn`` marks the tiles of 8 pixels of the target that were rendered again; the target has ``factor`` times the
+    size of the picture. ``occlusion_changed`` marks pixels at half the resolution, each of which affects its
+    neighbours. ``cast_changed`` marks tiles whose capsules have changed.
     """
     some = False
     for x in range(width + 8):
@@ -71,7 +71,7 @@ def next_blocks(marks, begin, low, end):
 
     Blocks of 8 are counted from ``begin``; the search starts at ``low``.
 
-    Both are ``end`` if there are none.
+    Both results are ``end`` if there are no such blocks.
     """
     # whole blocks counted from ``begin``, as when all is shaded, so that each pixel has the same lane as then
     while low < end and not _any(marks, low, min(low + 8, end)):

@@ -1,9 +1,9 @@
-"""Ambient occlusion from the depth buffer alone: how much ambient light nearby surfaces block.
+"""Ambient occlusion, the share of ambient light that nearby surfaces block, from the depth buffer alone.
 
-Scalable ambient obscurance (McGuire et al. 2012) at half resolution: a few taps on a disc of fixed world size, rotated from
-pixel to pixel, measure how far surfaces rise above the pixel's own plane; a blur and an interpolation within each surface
-follow. Surfaces beyond the disc's radius do not count, so there are no halos, and a plane does not occlude itself, so
-open floors and walls keep their exact colour.
+Scalable ambient obscurance (McGuire et al. 2012) at half resolution: a few taps on a disc of fixed world size, rotated
+from pixel to pixel, measure how far surfaces rise above the pixel's own plane; a blur and an interpolation within each
+surface follow. Surfaces beyond the disc's radius do not count, so there are no halos, and a plane does not occlude
+itself, so open floors and walls keep their exact colour.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ from h3data.render.shade.occlusion_simd import (
 )
 
 RADIUS_M = 0.32
-"""Surfaces beyond this distance do not occlude."""
+"""Distance beyond which surfaces do not occlude [m]."""
 SPREAD = 0.18
 """Upper bound of the disc's radius as a share of the pixel's distance, which keeps the disc small in the image."""
 CONTRAST = 11.0
 """Factor on the mean m over the taps; the amount is m / (1 + m), about one half in a right-angled corner."""
 RECEDED_M = 100.0
-"""Distance behind an orthographic camera of the eye from which its image counts as seen [m]."""
+"""Distance behind an orthographic camera of the eye that replaces its parallel rays [m]."""
 EDGE, EDGE_ROWS = 8, 2
 """Padding columns and rows around the coarse image, so that blocks may overrun."""
 
 
 def _offsets() -> NDArray[np.float64]:
-    """Taps on the unit disc for every pixel of a 4x4 square, repeated to 8 lanes, shape [4 rows, TAPS, x y, 8].
+    """Return taps on the unit disc for every pixel of a 4x4 square, repeated to 8 lanes, shape [4 rows, TAPS, x y, 8].
 
     A spiral, rotated and slightly scaled from pixel to pixel by an ordered dither, in which neighbours differ strongly;
     denser towards the centre, to resolve contacts.
@@ -66,7 +66,7 @@ TAP_OFFSETS = _offsets()
 
 
 class Occlusion(NamedTuple):
-    """The coarse image at half resolution, with padding."""
+    """Image of occlusion at half resolution, with padding."""
 
     inv_z: NDArray[np.float32]
     """Value 1/z of each pixel, 0 = background, shape [rows, columns] [1/m]."""
@@ -79,7 +79,7 @@ class Occlusion(NamedTuple):
 
 
 def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.float32]:
-    """The words shared by all blocks (see `occlusion_simd`); coarse pixel k is the target's pixel ``factor * k``."""
+    """Return words that all blocks share (`occlusion_simd`); coarse pixel k is the target's pixel ``factor * k``."""
     fx, fy, cx, cy = view.intrinsics
     afar = RECEDED_M if view.parallel else 1.0
     table = np.zeros(TABLE_WORDS, np.float32)
@@ -95,7 +95,7 @@ def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.floa
 
 
 def receded(view: View, target: Target) -> NDArray[np.float32]:
-    """Return 1/z of an orthographic image as seen by an eye far behind the camera, with the shape of ``target.inv_z``."""
+    """Return 1/z of an orthographic image as seen by an eye far behind the camera, shape of ``target.inv_z``."""
     z = view.reach - target.inv_z
     hit = (target.inv_z > 0) & (target.inv_z < FAR_PADDING)
     return np.where(hit, 1 / (RECEDED_M + np.maximum(z, 0)), target.inv_z).astype(np.float32)
@@ -104,8 +104,8 @@ def receded(view: View, target: Target) -> NDArray[np.float32]:
 def occlude(view: View, target: Target, samples: int, *, before: Occlusion | None = None) -> Occlusion:
     """Compute the occlusion of a rendered target; with ``samples=4``, target and view have twice the image's size.
 
-    For an orthographic view, ``target.inv_z`` must be the result of `receded`. If ``before`` is the occlusion of the image
-    that the target showed before, in the same view, it is brought up to date instead, which gives the same numbers.
+    For an orthographic view, ``target.inv_z`` must be the result of `receded`. If ``before`` is the occlusion of the
+    previous image of the target, in the same view, only its changes are computed, with the same result.
     """
     factor = 4 if samples == 4 else 2
     height, width = -(-view.height // factor), -(-view.width // factor)
@@ -125,7 +125,7 @@ def occlude(view: View, target: Target, samples: int, *, before: Occlusion | Non
 
 @kernel(error_model="numpy", boundscheck=False)
 def _occlude(source, drawn, factor, height, width, table, out, again):
-    """Fills ``out``, or, with ``again``, what depends on the tiles that were drawn."""
+    """Fill ``out``, or with ``again`` only the part that depends on the tiles that were drawn."""
     inv_z, planes, scratch, changed = out
     row = inv_z.shape[1]
     row_bytes, plane_bytes = np.uintp(row * 4), np.uintp(inv_z.size * 4)
@@ -209,7 +209,10 @@ def _occlude(source, drawn, factor, height, width, table, out, again):
 
 @kernel_part()
 def _changed_sums(changed, again):
-    """Number of changed pixels above and left of each pixel, shape [H + 1, W + 1]; [1, 1] if nothing was there before."""
+    """Return the number of changed pixels above and left of each pixel, shape [H + 1, W + 1].
+
+    The result is [1, 1] if there was no image before.
+    """
     if not again:
         return np.zeros((1, 1), np.int32)
     height, width = changed.shape
@@ -224,7 +227,7 @@ def _changed_sums(changed, again):
 
 @kernel_part()
 def _reaches_changed(sums, inv_z, table, x, y, count):
-    """Returns whether a changed pixel lies within the disc of taps and slopes of ``count`` pixels from (x, y)."""
+    """Return whether a changed pixel lies within the disc of taps and slopes of ``count`` pixels from (x, y)."""
     nearest = np.float32(0)
     for k in range(count):
         nearest = max(nearest, inv_z[y + EDGE_ROWS, x + k + EDGE])
@@ -240,7 +243,7 @@ def _reaches_changed(sums, inv_z, table, x, y, count):
 
 @kernel_part()
 def _clear_edges(planes, height, width):
-    """Sets the padding to no occlusion, on planes that match no pixel."""
+    """Set the padding to no occlusion, on planes that match no pixel."""
     for k in range(4):
         # an endless sharpness: whatever 1/z a pixel has, it is not on this plane
         value = np.float32(FAR_PADDING if k == 2 else 0)
@@ -252,9 +255,11 @@ def _clear_edges(planes, height, width):
 
 @kernel_part()
 def dim_row(occlusion, strength, y, width, near_at, strip, marks):
-    """Dim an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given the address of its 1/z [W + 8].
+    """Dim an image row of linear levels, the first three rows of ``strip`` [.., W + 8], by its occlusion.
 
-    Blocks of 8 pixels none of which is marked as shaded (`marks`) are left out.
+    The function gets the address of the row's 1/z [W + 8].
+
+    Blocks of 8 pixels without any pixel marked as shaded (`marks`) are skipped.
     """
     inv_z, planes = occlusion.inv_z, occlusion.planes
     row_bytes, plane_bytes = np.uintp(inv_z.shape[1] * 4), np.uintp(inv_z.size * 4)

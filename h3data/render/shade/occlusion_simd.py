@@ -1,4 +1,4 @@
-"""The steps of ambient occlusion as 8-wide numba intrinsics: eight pixels of one row of the coarse image at a time."""
+"""Numba intrinsics that compute ambient occlusion for 8 pixels of a row of the coarse image at a time."""
 
 from __future__ import annotations
 
@@ -34,11 +34,13 @@ ROW_OFFSETS = TAPS * 2 * LANES
 TABLE_WORDS = OFFSETS + 4 * ROW_OFFSETS
 
 BIAS_M = 0.004
-"""A point occludes only if it rises above the surface by more than this plus a share of its distance from the eye."""
+"""Height above a surface [m], in addition to a share of the distance from the eye, above which a point occludes the
+surface."""
 SAME_SURFACE_M = 0.05
-"""Amounts are blurred and interpolated between pixels this close to one another's planes."""
+"""Distance from each other's planes within which pixels belong to one surface, so that amounts are blurred between them
+[m]."""
 NOWHERE = 1e-3
-"""Weight of "not occluded", which decides where none of the neighbouring coarse pixels lies on the pixel's surface."""
+"""Weight of "not occluded", which takes effect if no neighbouring coarse pixel is on the pixel's surface."""
 
 
 def _slope(b: Any, before2: Vec, before: Vec, middle: Vec, after: Vec, after2: Vec) -> Vec:
@@ -52,7 +54,7 @@ def _slope(b: Any, before2: Vec, before: Vec, middle: Vec, after: Vec, after2: V
 def _emit_occlusion(
     b: Any, inv_z_at: Any, z_at: Any, planes_at: Any, plane_bytes: Any, x: Any, y: Any, row: Any, table_at: Any
 ) -> None:
-    """See `occlusion_block`."""
+    """Emit the code of occlusion, as `occlusion_block` describes."""
     offset = b.shl(b.add(b.mul(y, row), x), ir.Constant(x.type, 2))
     row_bytes = b.shl(row, ir.Constant(x.type, 2))
     here = b.add(inv_z_at, offset)
@@ -121,9 +123,9 @@ _p = types.uintp
 def occlusion_block(typing_context, inv_z_at, z_at, planes_at, plane_bytes, x, y, row, table_at):
     """Compute occlusion of 8 neighbouring coarse pixels, starting at (x, y).
 
-    Takes addresses of pixel (0, 0) in 1/z (two pixels around the image are readable), in z, and in the four results, which
-    are ``plane_bytes`` apart: slopes of 1/z along x and y, sharpness [m] (see `_likeness`) and amount 0..1. ``row`` is the
-    number of words per row.
+    The arguments are the addresses of pixel (0, 0) in 1/z (two pixels around the image are readable), in z, and in the
+    four results, which are ``plane_bytes`` apart: slopes of 1/z along x and y, sharpness [m] (see `_likeness`) and
+    amount 0..1. ``row`` is the number of words per row.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -134,7 +136,7 @@ def occlusion_block(typing_context, inv_z_at, z_at, planes_at, plane_bytes, x, y
 
 
 def _likeness(nearness: Vec, expected: Vec, sharpness: Vec) -> Vec:
-    """1 where a pixel's nearness is the ``expected`` nearness of a plane, falling to 0 at `SAME_SURFACE_M` off the plane."""
+    """Return 1 for the ``expected`` nearness of a plane, falling to 0 at `SAME_SURFACE_M` off the plane."""
     return (-((nearness - expected).unary("fabs") * sharpness - 1.0)).maximum(0.0)
 
 
@@ -177,7 +179,7 @@ def _emit_dimming(
     half_row: Any,
     strength: Any,
 ) -> None:
-    """See `dim_block`."""
+    """Emit the code of dimming, as `dim_block` describes."""
     rows = [ir.Constant(lower_bytes.type, 0), lower_bytes]
     amount_at = b.add(planes_at, b.mul(plane_bytes, ir.Constant(plane_bytes.type, 3)))
     raw = [load(b, b.add(amount_at, row)) for row in rows]
@@ -215,9 +217,9 @@ def dim_block(
 ):
     """Dim 8 pixels of a strip of linear levels (3 rows of int32) by the amounts of the surrounding coarse pixels.
 
-    Takes addresses of the coarse pixel above and left of the first pixel, in 1/z and in the results of `occlusion_block`.
-    ``lower_bytes`` is the offset to the coarse row below: 0 if the row coincides with a coarse row (then ``half_row`` is 0,
-    else 0.5). ``near_at`` holds the 8 pixels' own 1/z.
+    The arguments are the addresses of the coarse pixel above and left of the first pixel, in 1/z and in the results of
+    `occlusion_block`. ``lower_bytes`` is the offset to the coarse row below: 0 if the row coincides with a coarse row
+    (then ``half_row`` is 0, else 0.5). ``near_at`` holds the 8 pixels' own 1/z.
     """
 
     def codegen(context, builder, signature, arguments):

@@ -50,7 +50,7 @@ def smooth_patches(
 
 
 def _flat_sides(surface: Surface, places: NDArray[np.float32]) -> NDArray[np.int64]:
-    """A number for the direction that each triangle without vertex normals faces, to 0.01, else 0, shape [F]."""
+    """Return a number for the direction of each triangle without vertex normals, to 0.01, else 0, shape [F]."""
     flat = np.logical_not(surface.normals[surface.faces].reshape(-1, 9).any(axis=1))
     out = np.zeros(len(flat), np.int64)
     a, b, c = (places[surface.faces[flat, k]].astype(np.float64) for k in range(3))
@@ -61,7 +61,7 @@ def _flat_sides(surface: Surface, places: NDArray[np.float32]) -> NDArray[np.int
 
 
 def _vertex_keys(surface: Surface, places: NDArray[np.float32]) -> NDArray[np.uint64]:
-    """A number for each vertex that is the same where everything drawn of it is the same, shape [V]."""
+    """Return a number for each vertex that is the same where everything drawn of the vertex is the same, shape [V]."""
     keys = np.zeros(len(places), np.uint64)
     for array in (places, surface.colors, surface.normals, surface.uv, surface.mirrors):
         array = array + array.dtype.type(0)  # -0 is 0
@@ -72,7 +72,7 @@ def _vertex_keys(surface: Surface, places: NDArray[np.float32]) -> NDArray[np.ui
 
 
 def _mixed(keys: NDArray[np.integer]) -> NDArray[np.uint64]:
-    """Keys whose bits all depend on all bits of the given ones."""
+    """Return the keys whose bits all depend on all bits of the given ones."""
     bits: NDArray[np.uint64] = keys.astype(np.uint64)
     bits = (bits ^ (bits >> np.uint64(29))) * _MIX[1]
     return bits ^ (bits >> np.uint64(32))

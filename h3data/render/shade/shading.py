@@ -1,8 +1,8 @@
 """RGB and normals from the visibility buffer, shaded once per pixel (at visible edges, with ``samples=4``, once per triangle).
 
-Colours are linear inside. Light comes from a hemisphere (sky above, floor below), one sun, a weak fill light and a
-headlight; corners and contacts are darkened (`occlusion`); cast shadows are optional (`Light.shadow_rays`). Surfaces are
-lit on both sides.
+Colours are linear internally. Light comes from a hemisphere (sky above, floor below), one sun, a weak fill light and a
+headlight; corners and contacts are darkened (`occlusion`); cast shadows are optional (`Light.shadow_rays`). Surfaces
+are lit on both sides.
 """
 
 from __future__ import annotations
@@ -70,10 +70,11 @@ class Light:
     """Ambient light on surfaces that face down."""
     sun: Color = (0.42, 0.40, 0.36)
     sun_direction: Color = (0.28, 0.75, 0.60)
-    """Direction towards the sun, world frame; not halfway between x and z, so that the walls of a corner differ."""
+    """Direction towards the sun in the world frame, which is not halfway between x and z, so that the walls of a corner
+    differ."""
     fill: Color = (0.10, 0.12, 0.15)
     fill_direction: Color = (-0.90, 0.15, -0.35)
-    """Direction towards a weak second light on the other side, which separates the remaining walls."""
+    """Direction towards a weak second light on the other side, by which the remaining walls differ."""
     headlight: Color = (0.08, 0.08, 0.08)
     """Light from the camera; keeps shapes readable where no other light reaches."""
     horizon: Color = (0.80, 0.85, 0.90)
@@ -101,13 +102,14 @@ class Light:
 
 
 _PADDING = np.int32(-3)
-"""Word beyond the end of a row, which ends its last run."""
+"""Word after the end of a row of pixels, which ends the last run of equal pixels."""
 _MIXED = np.int32(-2)
-"""Marks pixels whose four samples show an edge, in a row of words."""
+"""Word of pixels whose four samples contain an edge."""
 _SMOOTH_DEPTH = np.float32(0.01)
-"""Samples of one patch whose depths differ by less than this share show one surface, not a fold before itself."""
+"""Relative difference of depths below which samples of one patch are of one surface, and not of a fold in front of
+it."""
 _BRIGHTEST_SAMPLE = int(1.25 * TONE_SIZE / TONE_LIMIT)
-"""Samples are clipped to this level before averaging; otherwise one bright sample would erode an edge."""
+"""Level to which samples are clipped before averaging, because otherwise one bright sample would erode an edge."""
 
 
 def tone_map(value: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -134,17 +136,17 @@ _NO_OCCLUSION = Occlusion(
 
 @dataclass
 class KeptPicture:
-    """The last picture of a camera that stands still, and what it was shaded with: only what has changed is shaded again."""
+    """Last image of a static camera, with the inputs of its shading, so that only changes are shaded again."""
 
     rgb: NDArray[np.uint8]
-    """Colours of the picture, shape [H, W, 3]."""
+    """Colours (sRGB) of the image, shape [H, W, 3]."""
     occlusion: Occlusion | None = None
     cast: Tiled | None = None
-    """Tiles of the capsules that cast shadows; None if there is no picture yet."""
+    """Tiles of the capsules that cast shadows; None if there is no image yet."""
 
 
 def light_table(light: Light) -> NDArray[np.float32]:
-    """Return the words of a light, as laid out in `shading_simd`, shape [27]."""
+    """Return a light as the table of numbers that `shading_simd` reads, shape [27]."""
     sky, ground = np.array(light.sky), np.array(light.ground)
     colors = [(sky + ground) / 2, (sky - ground) / 2, light.sun, light.fill, light.headlight]
     directions = [normalized(np.array(light.sun_direction)), normalized(np.array(light.fill_direction))]
@@ -166,11 +168,11 @@ def shade(
 ) -> None:
     """Fill ``rgb`` [H, W, 3] and ``normal`` [H, W, 3], where given, from a rendered target.
 
-    ``blockers`` keep light from ``rgb``.
+    ``blockers`` cast soft shadows in ``rgb``.
     With ``patches`` [F] (`patches.smooth_patches`), target and view have twice the size of ``rgb``: pixels whose four
-    samples see different patches, or a patch before itself, are averaged in linear light, all others shaded once.
-    With ``kept``, which is brought up to date, only what differs from the picture there is shaded: the same to the last
-    bit. It must be that of the image that ``target`` showed before.
+    samples see different patches, or a fold of one patch, are averaged in linear light, and all other pixels are shaded
+    once. With ``kept``, the record of the previous image of ``target``, only changed pixels are shaded, with
+    bit-identical results; ``kept`` is updated.
     """
     samples = 1 if patches is None else 4
     no_rgb, no_normal = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.float32)
@@ -400,7 +402,7 @@ def _shade_image(
 
 @kernel_part()
 def _dim_waiting(cast, tile, rays, behind, waiting, scratch, places, count, strip):
-    """Dims ``count`` samples by the capsules of a tile and adds them to their pixels of a strip."""
+    """Dim ``count`` samples by the capsules of a tile, and add the samples to their pixels of a strip."""
     if count:
         near_at, at, row_bytes = (
             np.uintp(behind.ctypes.data),
@@ -415,7 +417,7 @@ def _dim_waiting(cast, tile, rays, behind, waiting, scratch, places, count, stri
 
 @kernel_part()
 def _fine_row_words(geometry, surface, target, patches, y, row, width):
-    """Fills the words of an image row [W]: of one of the four samples where they show one surface, else `_MIXED`."""
+    """Fill the words of an image row [W]: of one of the four samples where they show one surface, else `_MIXED`."""
     words, inv_z = target.words, target.inv_z
     for x in range(width):
         word = words[2 * y, 2 * x]
@@ -449,7 +451,10 @@ def _patch_of(geometry, surface, target, patches, word):
 
 @kernel_part()
 def _normal_matrices(matrices):
-    """Cofactors [I, 3, 3] of the 3x3 parts, which transform normals correctly under any scale, up to length and sign."""
+    """Return the cofactors [I, 3, 3] of the 3x3 parts.
+
+    They transform normals correctly under any scale, up to length and sign.
+    """
     out = np.empty((len(matrices), 3, 3))
     for i in range(len(matrices)):
         m = matrices[i]
@@ -463,7 +468,7 @@ def _normal_matrices(matrices):
 
 @kernel_part(forceinline=True)
 def _tint(word, slot, cache, cast, target):
-    """Multiplies the colours of a cached triangle by its instance's tint."""
+    """Multiply the colours of a cached triangle by its instance's tint."""
     if cast.tints.size:
         instance = target.draws[word >> 7, INSTANCE]
         attributes = cache.attributes[slot]
@@ -475,7 +480,7 @@ def _tint(word, slot, cache, cast, target):
 # --- runs of pixels -------------------------------------------------------------------------------------------------
 @kernel_part(forceinline=True)
 def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, axes, light, block, coordinates, strip):
-    """Lights pixels low..end of a strip, which see one triangle; the ray of the pixel ``begin`` is (u, v, 1)."""
+    """Light pixels low..end of a strip, which see one triangle; the ray of the pixel ``begin`` is (u, v, 1)."""
     _, planes, attributes, levels = cache
     row_bytes = np.uintp(strip.shape[1] * 4)
     strip_at = np.uintp(strip.ctypes.data)
@@ -518,7 +523,7 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, axes, light
 
 @kernel_part(forceinline=True)
 def _sky_run(u, v, step, begin, low, end, axes, light, block, strip):
-    """Fills background pixels low..end of a strip; the ray of the pixel ``begin`` is (u, v, 1)."""
+    """Fill background pixels low..end of a strip; the ray of the pixel ``begin`` is (u, v, 1)."""
     row_bytes = np.uintp(strip.shape[1] * 4)
     strip_at, block_at, light_at = np.uintp(strip.ctypes.data), np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
     for k in range(3):

@@ -39,14 +39,14 @@ _WORD_SCALE = np.array(WORD_SCALE, np.float32)
 
 
 class Cache(NamedTuple):
-    """Cached triangles by slot."""
+    """Cache of triangles by slot."""
 
     words: NDArray[np.int32]
     """Pixel word of each triangle, -1 = empty, shape [N]."""
     planes: NDArray[np.float64]
     """Value 1/z and the barycentrics of vertices 1 and 2 over z, as linear functions of the ray (u, v, 1), shape [N, 3, 3]."""
     attributes: NDArray[np.float32]
-    """Attributes as laid out in `shading_simd`, shape [N, ATTRIBUTES]."""
+    """Attributes of the vertices in the layout of `shading_simd`, shape [N, ATTRIBUTES]."""
     levels: NDArray[np.int32]
     """Row of the texture's finest level, or `NO_TEXTURE`, shape [N]."""
 
@@ -107,7 +107,7 @@ def _cross(a, b):
 
 @kernel_part(forceinline=True)
 def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
-    """Fills the planes over the ray (u, v, 1) of 1/z and of the barycentrics of vertices 1 and 2 over z [3, 3].
+    """Fill the planes over the ray (u, v, 1) of 1/z and of the barycentrics of vertices 1 and 2 over z [3, 3].
 
     All three share an arbitrary factor, which cancels. Also fills the geometric world normal, facing the eye. For
     orthographic cameras, 1 takes the place of z.
@@ -135,7 +135,7 @@ def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
 
 @kernel_part(forceinline=True)
 def _set_up_attributes(surface, face, cofactor, linear, attributes):
-    """Fills colours and, if the mesh has them, vertex normals on the side of the geometric normal."""
+    """Fill colours and, if the mesh has them, vertex normals on the side of the geometric normal."""
     faces, colors, normals = surface.faces, surface.colors, surface.normals
     i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
     for a in range(3):
@@ -177,7 +177,7 @@ def _world_normal(normals, vertex, cofactor):
 
 @kernel_part(forceinline=True)
 def _set_up_mirror(surface, face, attributes):
-    """Fills the light that a glossy face mirrors, or marks that it is not glossy."""
+    """Fill the light that a glossy face mirrors, or mark the face as not glossy."""
     faces, mirrors = surface.faces, surface.mirrors
     attributes[GLOSS] = 0
     if not len(mirrors):
@@ -194,7 +194,7 @@ def _set_up_mirror(surface, face, attributes):
 
 @kernel_part(forceinline=True)
 def _set_up_texture(surface, face, level, planes, pixel, attributes):
-    """Fills texture coordinates (shifted close to 0, for float32) and their derivatives; scales colours for `WORD_SCALE`."""
+    """Fill texture coordinates (shifted close to 0, for float32) and derivatives; scale colours for `WORD_SCALE`."""
     faces, uv, levels = surface.faces, surface.uv, surface.textures.levels
     i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
     attributes[TEXELS], attributes[TEXELS + 1] = levels[level, WIDTH], levels[level, HEIGHT]

@@ -1,4 +1,4 @@
-"""Lighting of 8 pixels at a time as numba intrinsics."""
+"""Numba intrinsics that compute the lighting of 8 pixels at a time."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from h3data.render.shade.textures_simd import level_of_detail, texel
 
 TONE_SIZE = 8192
 TONE_LIMIT = 2.0
-"""Colours are output as int32 linear levels, `TONE_SIZE` of them from 0 to `TONE_LIMIT`."""
+"""Largest linear colour; colours are output as int32 levels, of which there are `TONE_SIZE` from 0 to `TONE_LIMIT`."""
 
 # Float32 words of a triangle's attributes: colour and normal at vertex 0, and the differences of vertices 1 and 2.
 COLOR, COLOR_1, COLOR_2, NORMAL, NORMAL_1, NORMAL_2 = 0, 3, 6, 9, 12, 15
@@ -45,8 +45,8 @@ MEAN, UP, SUN, FILL, HEADLIGHT, SUN_DIRECTION, FILL_DIRECTION, HORIZON, ZENITH =
 NEARNESS, SECOND, THIRD, RAY = 0, 2, 4, 6
 BLOCK_WORDS = 12
 FACING_SHARE, GRAZING_SHARE = 0.04, 0.5
-"""Shares of light that a glossy floor reflects at right angles, as all varnish and glaze do, and at grazing angles: 1 less
-the roughness, 0.5 (Lagarde 2011, "Adopting a physically based shading model")."""
+"""Shares of light that a glossy floor reflects at right angles, as all varnish and glaze do, and at grazing angles,
+where it is 1 minus the roughness of 0.5 (Lagarde 2011, "Adopting a physically based shading model")."""
 # Rows that `light_coordinates_block` outputs: texture coordinates [repeats] and level of detail.
 S, T, LEVEL = 0, 1, 2
 
@@ -56,12 +56,12 @@ def _dot(a: list[Vec], b: list[Vec]) -> Vec:
 
 
 def _words(b: Any, address: Any, first: int, count: int = 3) -> list[Vec]:
-    """``count`` words starting at ``first``, each broadcast to all lanes."""
+    """Return ``count`` words starting at ``first``, each broadcast to all lanes."""
     return [spread(b, address, first + a) for a in range(count)]
 
 
 def _linear(b: Any, block_at: Any, first: int) -> Vec:
-    """A quantity that is linear in x, at 8 pixels."""
+    """Return a quantity that is linear in x, at 8 pixels."""
     start, step = (spread(b, block_at, first + k) for k in range(2))
     return fma(step, lanes(b), start)
 
@@ -72,7 +72,7 @@ def _store_level(b: Any, color: Vec, strip_at: Any) -> None:
 
 
 def _mix(b: Any, attributes_at: Any, first: int, second: Vec, third: Vec, count: int = 3) -> list[Vec]:
-    """An attribute of ``count`` words, interpolated with the barycentrics of vertices 1 and 2."""
+    """Return an attribute of ``count`` words, interpolated with the barycentrics of vertices 1 and 2."""
     corner, to_second, to_third = (_words(b, attributes_at, first + k * count, count) for k in range(3))
     return [fma(third, d3, fma(second, d2, c)) for c, d2, d3 in zip(corner, to_second, to_third, strict=True)]
 
@@ -80,7 +80,7 @@ def _mix(b: Any, attributes_at: Any, first: int, second: Vec, third: Vec, count:
 def _store_coordinates(
     b: Any, attributes_at: Any, z: Vec, second: Vec, third: Vec, coordinates_at: Any, row_bytes: Any
 ) -> None:
-    """Stores S, T and LEVEL, which is chosen by the pixel's longer side on the texture (Williams 1983)."""
+    """Store S, T and LEVEL, which is chosen by the pixel's longer side on the texture (Williams 1983)."""
     corner, to_second, to_third = (_words(b, attributes_at, first, 2) for first in (UV, UV_1, UV_2))
     beyond = [fma(third, d3, second * d2) for d2, d3 in zip(to_second, to_third, strict=True)]
     size, nearness_step = _words(b, attributes_at, TEXELS, 2), _words(b, attributes_at, NEARNESS_STEP, 2)
@@ -140,8 +140,8 @@ def _emit_light(
 def light_block(typing_context, block_at, attributes_at, light_at, strip_at, row_bytes):
     """Light 8 neighbouring pixels of one triangle.
 
-    Takes the addresses of the tables described above and of a strip of 6 rows: three receive linear levels (int32), three
-    the unit normal (float32).
+    The arguments are the addresses of the tables described in this module and of a strip of 6 rows: three receive
+    linear levels (int32), three the unit normal (float32).
     """
 
     def codegen(context, builder, signature, arguments):
@@ -156,7 +156,7 @@ def light_block(typing_context, block_at, attributes_at, light_at, strip_at, row
 def light_coordinates_block(
     typing_context, block_at, attributes_at, light_at, strip_at, row_bytes, coordinates_at, coordinates_bytes
 ):
-    """Light 8 pixels of a textured triangle as `light_block` does; `texture_block` completes it.
+    """Light 8 pixels of a textured triangle, without its texture, which `texture_block` applies.
 
     The strip receives float32 colours instead of levels; S, T and LEVEL go to separate rows.
     """
@@ -175,7 +175,7 @@ def texture_block(
 ):
     """Multiply the colours of `light_coordinates_block` by the texture and convert them to levels.
 
-    ``base`` and ``blended`` are the levels of detail, see `textures_simd.texel`.
+    ``base`` and ``blended`` are the levels of detail, as in `textures_simd.texel`.
     """
 
     def codegen(context, b, signature, arguments):
@@ -194,9 +194,9 @@ def texture_block(
 
 @intrinsic
 def gloss_block(typing_context, block_at, attributes_at, strip_at, row_bytes):
-    """Mix mirrored light into the levels of 8 pixels (strip as in `light_block`): an approximation without ray tracing.
+    """Add reflected light to the levels of 8 pixels in a strip (`light_block`), approximated without ray tracing.
 
-    The share is Schlick's ("An Inexpensive BRDF Model", 1994); the light is that of an ambient cube in the mirrored
+    The share is from Schlick ("An Inexpensive BRDF Model", 1994). The light is that of an ambient cube in the reflected
     direction (McTaggart 2004, "Half-Life 2 Source Shading").
     """
 
@@ -241,7 +241,7 @@ def gloss_block(typing_context, block_at, attributes_at, strip_at, row_bytes):
 
 @intrinsic
 def sky_block(typing_context, block_at, light_at, strip_at, row_bytes):
-    """Fill 8 neighbouring background pixels, from horizon to zenith by the ray's elevation; strip as in `light_block`."""
+    """Fill 8 neighbouring background pixels, from horizon to zenith by the ray's elevation, in a strip as in `light_block`."""
 
     def codegen(context, b, signature, arguments):
         block_at, light_at, strip_at, row_bytes = arguments
@@ -277,7 +277,7 @@ def equal_words(typing_context, address, word):
 
 @intrinsic
 def even_nearness(typing_context, inv_z_at, words_at, word, instead, out_at):
-    """Store every second one of 16 float32 numbers, but ``instead`` where the int32 number at ``words_at`` is ``word``."""
+    """Store every second of 16 float32 numbers, or ``instead`` where the int32 number at ``words_at`` is ``word``."""
 
     def codegen(context, b, signature, arguments):
         inv_z_at, words_at, word, instead, out_at = arguments
@@ -292,7 +292,7 @@ def even_nearness(typing_context, inv_z_at, words_at, word, instead, out_at):
 
 @intrinsic
 def write_colors(typing_context, strip_at, row_bytes, bytes_at, rgb_at):
-    """Write red, green and blue (uint8) of 8 pixels: those at ``bytes_at`` for the levels in a strip's first three rows."""
+    """Write red, green and blue (uint8) of 8 pixels, looked up at ``bytes_at`` for the levels in a strip's first three rows."""
 
     def codegen(context, b, signature, arguments):
         strip_at, row_bytes, bytes_at, rgb_at = arguments

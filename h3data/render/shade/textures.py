@@ -1,4 +1,4 @@
-"""The textures of a scene in one array: mip levels averaged in linear light, one word per texel.
+"""Textures of a scene packed in one array, with mip levels averaged in linear light and one word per texel.
 
 A word holds the square roots of linear red, green and blue in 11, 11 and 10 bits: finer than sRGB bytes everywhere, and
 squaring restores linear light. In transparent textures, averages are weighted by opacity, and fully transparent texels
@@ -20,11 +20,11 @@ from h3data.srgb import bytes_to_linear
 BITS = (11, 11, 10)
 SHIFTS = (21, 10, 0)
 WORD_SCALE = tuple((1 + 1e-6) / (2**bits - 1) ** 2 for bits in BITS)
-"""Linear light of one squared step of each channel; slightly enlarged, so that rounding never darkens white."""
+"""Factor from squared steps of each channel to linear light, slightly enlarged so that rounding never darkens white."""
 
 
 class Textures(NamedTuple):
-    """The packed textures."""
+    """Packed textures of a scene."""
 
     words: NDArray[np.uint32]
     """All levels of all textures, row by row, shape [N]. Each level repeats its first column and row at the end, so that
@@ -68,7 +68,7 @@ def mip_levels(pixels: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
 
     The first level has full size, the last one texel; each is [h, w, 3].
 
-    Averages boxes of two texels per axis (two and a fraction for odd sizes), weighted by opacity.
+    Each level averages boxes of two texels per axis (two and a fraction for odd sizes), weighted by opacity.
     """
     # a table of 256 entries, because the exact curve takes a power per value
     linear_of_byte = bytes_to_linear(np.arange(256)).astype(np.float32)
@@ -93,7 +93,7 @@ def mip_levels(pixels: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
 
 
 def _halved(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """The image with half as many rows (axis 0) or columns (axis 1), at least one."""
+    """Return the image with half as many rows (axis 0) or columns (axis 1), at least one."""
     count = image.shape[axis]
     half = count // 2
     if half == 0:

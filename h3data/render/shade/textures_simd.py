@@ -12,13 +12,13 @@ OFFSET, WIDTH, HEIGHT, FOLLOWING = range(4)
 """Columns of a level (int32): its first word, its size in texels, and the number of coarser levels that follow."""
 LEVEL_WORDS = 4
 ONE_LEVEL = 0.25
-"""Within this distance of an integer level of detail, one level is used; in between, two are blended."""
+"""Distance from an integer level of detail within which one level is used; otherwise two levels are blended."""
 
 
 def level_of_detail(b: Any, squared: Vec, last: Vec) -> Vec:
     """Compute the level of detail at which a texel is as large as a pixel.
 
-    It is 0 to ``last``, from the squared number of texels per pixel.
+    The level is between 0 and ``last``, and follows from the squared number of texels per pixel.
 
     The logarithm is approximated linearly between powers of two, which is at most 0.05 levels too small.
     """
@@ -55,7 +55,7 @@ def texel(b: Any, coordinates: list[Vec], base: Any, blended: Any, levels_at: An
 
 
 def _bilinear(b: Any, s: Vec, t: Vec, level_at: Any, words_at: Any) -> list[Vec]:
-    """Squared steps of red, green and blue from one level."""
+    """Return the squared steps of red, green and blue from one level."""
     offset, width, height = (load(b, level_at, 4 * k, INT) for k in (OFFSET, WIDTH, HEIGHT))
     stride = b.add(width, ir.Constant(INT, 1))
     column, right = _place(b, s, width)
@@ -81,7 +81,7 @@ def _bilinear(b: Any, s: Vec, t: Vec, level_at: Any, words_at: Any) -> list[Vec]
 
 
 def _place(b: Any, coordinate: Vec, size: Any) -> tuple[Any, Vec]:
-    """The texel whose centre lies just before a coordinate [repeats], 0 to size - 1 (int32), and the fraction beyond it."""
+    """Return texel whose centre lies just before a coordinate [repeats], int32 from 0, and the fraction beyond it."""
     count = Vec(b, splat(b, b.sitofp(size, FLOAT)))
     # texels have their centres at halves
     place = fma(coordinate - coordinate.unary("floor"), count, -0.5)
@@ -91,7 +91,7 @@ def _place(b: Any, coordinate: Vec, size: Any) -> tuple[Any, Vec]:
 
 
 def _pairs(b: Any, addresses: list[Any]) -> tuple[Any, Any]:
-    """The words at eight addresses and the words after them, by one 64-bit load per pair."""
+    """Return the words at eight addresses and the words after them, by one 64-bit load per pair."""
     halves = []
     for order in ((0, 1, 4, 5), (2, 3, 6, 7)):  # in this order, one shuffle within 128 bits sorts the lanes
         half = ir.Constant(ir.VectorType(INT64, 4), ir.Undefined)
@@ -104,7 +104,7 @@ def _pairs(b: Any, addresses: list[Any]) -> tuple[Any, Any]:
 
 
 def _roots(b: Any, words: Any) -> list[Vec]:
-    """The channels of packed words as floats."""
+    """Return the channels of packed words as floats."""
 
     def constant(value: int) -> Any:
         return ir.Constant(INT8, [value] * LANES)

@@ -118,7 +118,7 @@ def walkable_on_storeys(scene: Scene, *, climb_m: float, height_m: float) -> Mul
 
 
 def _stretches(room: Room) -> list[tuple[BaseGeometry, float]]:
-    """A stairwell in pieces on which a foot stands at one height: landings and treads, out to the middle of its walls."""
+    """Return a stairwell in pieces on which a foot stands at one height, up to the middle of its walls."""
     ramp = room.ramp
     assert ramp is not None
     x0, z0, x1, z1 = shapely.union_all([box(*r) for r in np.asarray(room.rectangles, np.float64)]).bounds
@@ -140,7 +140,7 @@ def _stretches(room: Room) -> list[tuple[BaseGeometry, float]]:
 
 
 def _instances_near(scene: Scene, area: BaseGeometry) -> list[Instance]:
-    """Static instances whose collision shapes may reach into an area of the plan."""
+    """Return the static instances whose collision shapes may reach into an area of the plan."""
     x0, z0, x1, z1 = area.bounds
     found = []
     for instance in scene.static_instances:
@@ -179,7 +179,7 @@ def _clip_to_band(points: NDArray, low: float, high: float) -> NDArray:
 
 
 def _hull_polygon(points: NDArray) -> Polygon | None:
-    """Convex outline of points [N, 2 or 3] in the floor plane, None when it has no area."""
+    """Return the convex outline of points [N, 2 or 3] in the floor plane, None when it has no area."""
     if len(points) < 3:
         return None
     hull = shapely.MultiPoint(points[:, [0, -1]]).convex_hull

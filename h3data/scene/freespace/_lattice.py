@@ -39,7 +39,7 @@ class Lattice(NamedTuple):
 
 @kernel()
 def _table(graph: Graph, points: NDArray, island: NDArray) -> NDArray:
-    """Exact distances [k, k] between free points: through the corners that each sees, or straight."""
+    """Return the exact distances [k, k] between free points: through the corners that each sees, or straight."""
     k = len(points)
     n = len(graph.nodes)
     table = np.full((k, k), np.inf, np.float32)
@@ -150,9 +150,9 @@ def lattice_distance(
 ) -> float:
     """Return the approximate length of the shortest path from a to b [m].
 
-    It is never too short by more than the slack of the line of sight; its median error is 0.1%, and the largest errors
-    occur next to corners at short range. It is infinite if the table does not connect a and b; although the exact graph
-    may do so.
+    The length is never too short by more than the slack of the line of sight. Its median error is 0.1%, and the largest
+    errors occur next to corners at short range. It is infinite if the table does not connect a and b, although the
+    exact graph may do so.
     """
     if line_of_sight(sdf, origin, cell, radius, ax, az, bx, bz):
         return np.hypot(bx - ax, bz - az)

@@ -20,7 +20,7 @@ mm."""
 
 @kernel()
 def _wedge(before: NDArray, node: NDArray, after: NDArray) -> tuple[float, float, float]:
-    """Unit direction (x, z) in the middle of the wedge in which a taut string may leave a corner, and half its angle.
+    """Return the middle direction (x, z) of the wedge in which a taut string may leave a corner, and half its angle.
 
     The other wedge is opposite.
     """
@@ -86,7 +86,7 @@ def _seen_in_wedge(
     box_of: NDArray,
     seen: NDArray,
 ) -> None:
-    """Marks in ``seen`` the buckets of which a part may be seen from (x, z) within ``half`` of a direction.
+    """Mark in ``seen`` the buckets of which a part may be seen from (x, z) within ``half`` of a direction.
 
     Front to back: a bucket is hidden if the blocking pieces [P, 4] that end before it begins cover all its angles.
     """

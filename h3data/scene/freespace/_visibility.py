@@ -158,7 +158,8 @@ def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
 def locate(graph: Graph, x: float, z: float) -> int:
     """Return the island of a point, -1 = not free.
 
-    It is computed from the label of the bucket's middle, which changes at every edge between the middle and the point.
+    The island is computed from the label of the bucket's middle, which changes at every edge between the middle and the
+    point.
     """
     size = graph.bucket_size[0]
     nx, nz = graph.bucket_label.shape

@@ -133,7 +133,7 @@ def _reflex_corners(area: MultiPolygon) -> tuple[NDArray, NDArray, NDArray, NDAr
 
 
 def _buckets(area: MultiPolygon, grown: list[Polygon], labels: list[int]) -> tuple[NDArray, float, NDArray]:
-    """Grid over the area: origin [2], side, and the island at the middle of each bucket int32 [bx, bz]."""
+    """Return the grid over the area: origin [2], side, and the island at the middle of each bucket int32 [bx, bz]."""
     size = 0.3  # side of a bucket of blocking edges [m]
     if area.is_empty:
         return np.zeros(2), size, np.full((1, 1), -1, np.int32)

@@ -14,7 +14,7 @@ from h3data.kernels import kernel
 
 @kernel()
 def _clip(poly: NDArray, count: int, axis: int, plane: float, keep_above: bool, out: NDArray) -> int:
-    """Part of a convex polygon [count, 3] on one side of an axis-aligned plane (Sutherland-Hodgman), into ``out``."""
+    """Write the part of a convex polygon [count, 3] on one side of a plane to ``out`` (Sutherland-Hodgman)."""
     n = 0
     for k in range(count):
         m = (k + 1) % count
@@ -157,7 +157,7 @@ def flood_surfaces(columns: NDArray, total: int, climb: int, head: int) -> tuple
 
 @kernel()
 def _headroom(columns: NDArray, i: int, j: int, k: int, u: int, v: int, w: int, head: int) -> bool:
-    """Return whether somebody standing on the higher of two surfaces also fits above the lower one."""
+    """Return whether a person standing on the higher of two surfaces also fits above the lower one."""
     ny = columns.shape[2]
     top = max(k, w)
     if k < w:

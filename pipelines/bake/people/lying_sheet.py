@@ -1,4 +1,4 @@
-"""docs/pictures/lying.jpg: how two bodies lie down on a bed and a child on a low one, and all bodies lying.
+"""Script for docs/pictures/lying.jpg: two bodies lie down on a bed and a child on a low one; all bodies lying.
 
 python -m bake.people.lying_sheet docs/pictures/lying.jpg
 """
@@ -35,7 +35,7 @@ def bed(sitting: Sitting, *, along: bool) -> list[Mesh]:
 
 
 def main(out: str) -> None:
-    """Render the sheet."""
+    """Render the picture of people who lie down."""
     rows = []
     for name, height in STAGES:
         sitting = sitting_on(load_humanoid(name), height)

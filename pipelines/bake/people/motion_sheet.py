@@ -110,7 +110,7 @@ def row_picture(body: Humanoid, track: Track, *, look: float = 0.0) -> NDArray[n
 
 
 def main(target: str, motion: str = "") -> None:
-    """Write the sheet."""
+    """Write the picture of a person who walks, by a motion file if one is given."""
     with tempfile.TemporaryDirectory() as folder:
         if motion == OWN:
             motion = str(Path(folder) / "own.npz")

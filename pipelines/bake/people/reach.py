@@ -1,4 +1,4 @@
-"""Solve the table of reaching postures: ``python -m bake.people.reach`` writes ``datasets/bodies/reach/table.npz``.
+"""Script for reaching postures: ``python -m bake.people.reach`` writes ``datasets/bodies/reach/table.npz``.
 
 Per point of the grid a posture is found by Levenberg-Marquardt: little effort, joint limits, balance, an arm that is long
 enough and stays out of the body, and the likeness of neighbouring points, all for several bodies at once, so that one table
@@ -30,7 +30,7 @@ SWEEPS, STEPS = 20, 3
 LIKENESS = 0.35
 """Weight of the difference between the postures of neighbouring points."""
 UNIT = 1 / 8192
-"""Parameters are stored in whole units of this (int16): 0.2 mm, 0.007 degrees."""
+"""Unit in which parameters are stored as int16: 0.2 mm, 0.007 degrees."""
 EFFORT = np.array([50.0, 4, 40, 2.0, 0.7, 2.5, 0.45, 0.45, 0.60, 1.2, 1.2])
 """Weights of pelvis shift (per shoulder height squared), pelvis turn, spine and collar."""
 UPPER = np.array([9.0, 9, 9, 1.40, 0.60, 0.20, 1.30, 0.65, 0.55, 0.35, 0.38])
@@ -84,7 +84,10 @@ def _residuals(bodies, x, u, mean, likeness, effort, lower, upper, shoulder_effo
 
 @kernel(error_model="numpy")
 def _sweep(bodies, table, low, step, steps, down, likeness, effort, lower, upper, shoulder_effort):
-    """One pass over all points, each with ``steps`` steps towards less effort and likeness to its neighbours, in place."""
+    """Make one pass over all points, each with ``steps`` steps towards less effort and likeness to its neighbours.
+
+    The points are changed in place.
+    """
     p = k.PARAMETER_COUNT
     count = 2 * len(effort) + p + 1 + PER_BODY * len(bodies)
     r, trial = np.empty(count), np.empty(count)

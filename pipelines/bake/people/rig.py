@@ -13,10 +13,10 @@ from h3data.bodies.people.skeleton import FINGERS, JOINT_COUNT, JOINT_INDEX, JOI
 from h3data.geometry import Array, normalized
 
 Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-"""anny is Z-up and faces -Y; our body frame has +Y up and faces +Z; +X is left in both."""
+"""Rotation from anny's frame (Z-up, facing -Y) to the body frame (+Y up, facing +Z); +X is left in both."""
 
 PELVIS_ABOVE_HIPS_M = 0.02
-"""SMPL's pelvis joint lies a little above the line between the hip joints."""
+"""Height of SMPL's pelvis joint above the line between the hip joints [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +43,7 @@ class Rig:
         return offsets
 
     def joint(self, name: str) -> Array:
-        """Place of a joint in the rest pose [3]."""
+        """Return the position of a joint in the rest pose [3]."""
         return self.positions[JOINT_INDEX[name]]
 
 
@@ -125,7 +125,7 @@ def _joint_positions(heads: Array, bone_names: tuple[str, ...]) -> Array:
 
 
 def _bind_rotations(positions: Array) -> Array:
-    """Joint frames of the A-pose: each limb bone is swung from its T-pose direction by the smallest rotation."""
+    """Return joint frames of the A-pose: each limb bone is swung from its T-pose direction by the smallest rotation."""
     rotations = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
     for side, left in (("left", 1.0), ("right", -1.0)):
         arm = [f"{side}_{joint}" for joint in ("shoulder", "elbow", "wrist", "middle1")]

@@ -1,4 +1,4 @@
-"""Bakes ``datasets/bodies/shape_space.toml``: principal directions of the shapes of all built-in bodies.
+"""Script that bakes ``datasets/bodies/shape_space.toml``: principal directions of the shapes of all built-in bodies.
 
 ``python -m bake.people.shape_space`` (needs the built-in bodies, and nothing else). A direction is a row of weights of
 these bodies that sum to 0, scaled so that a step of 1 along it is one standard deviation; weights are rounded to six

@@ -1,4 +1,4 @@
-"""docs/pictures/sitting.jpg: how three bodies sit down on three seats, and all bodies on seats of their size.
+"""Script for docs/pictures/sitting.jpg: three bodies sit down on three seats; all bodies on seats of their size.
 
 python -m bake.people.sitting_sheet docs/pictures/sitting.jpg
 """
@@ -37,7 +37,7 @@ def chair(sitting: Sitting, depth_m: float = 0.46) -> list[Mesh]:
 
 
 def main(out: str) -> None:
-    """Render the sheet."""
+    """Render the picture of people who sit down."""
     rows = []
     for name, height in STAGES:
         sitting = sitting_on(load_humanoid(name), height)

@@ -90,7 +90,10 @@ def bake_smplx(path: Path, target: Path, *, betas: Sequence[float] = (), color: 
 
 
 def _light(rig: Rig) -> tuple[Array, NDArray[np.int32], Array]:
-    """Vertices, faces and weights of a reduced mesh; weights from the three nearest old vertices by inverse distance."""
+    """Return vertices, faces and weights of a reduced mesh.
+
+    The weights are those of the three nearest old vertices, by inverse distance.
+    """
     if len(rig.faces) <= LIGHT_FACES:
         return rig.vertices, rig.faces, rig.weights
     from scipy.spatial import KDTree

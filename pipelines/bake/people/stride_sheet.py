@@ -1,4 +1,4 @@
-"""docs/pictures/strides.jpg: a person who walks curves, frame by frame, and their path from above.
+"""Script for docs/pictures/strides.jpg: a person who walks curves, frame by frame, and their path from above.
 
     python -m bake.people.stride_sheet docs/pictures/strides.jpg
 
@@ -88,7 +88,7 @@ def plan(free: FreeSpace, spec: WalkerSpec) -> NDArray[np.uint8]:
 
 
 def main(target: str) -> None:
-    """Write the sheet."""
+    """Write the picture of a person who walks curves."""
     import cv2
 
     body, free = load_humanoid("neutral_0"), open_floor()

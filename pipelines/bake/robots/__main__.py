@@ -1,4 +1,7 @@
-"""Writes URDF, meshes and `robot.toml` of the built-in robots to `datasets/robots/`: ``python -m bake.robots``."""
+"""Script that writes URDF, meshes and `robot.toml` of the built-in robots to `datasets/robots/`.
+
+Run it with ``python -m bake.robots``.
+"""
 
 from __future__ import annotations
 
@@ -101,7 +104,7 @@ def write(design: Design, folder: Path) -> None:
 
 
 def main(folder: Path | None = None) -> None:
-    """Write all robots."""
+    """Write the files of all built-in robots."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     for design in (quad_arm.design(), lift_arm.design()):
         write(design, (folder or builtin_root() / "robots") / design.name)

@@ -33,13 +33,13 @@ ARM_Z = 0.17
 LIFT = (0.0, 1.0)
 STAGES, STAGE_M, STAGE_LENGTH = 4, 0.13, 0.20
 WRIST_Y = -0.24
-"""From the middle of the carriage to the joint of the wrist, arm drawn in."""
+"""Distance from the middle of the carriage to the joint of the wrist with the arm retracted [m]."""
 FINGER = 0.19
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 
 def base() -> tuple[Link, ...]:
-    """Tub with an ivory lid, a lit band in front, the mast, two wheels and a ball."""
+    """Return the base: a tub with an ivory lid, a lit band in front, the mast, two wheels and a ball."""
     corners = [
         disc_points(0.06, 0.10, axis=2, center=(x, y, 0.035), bevel=0.012)
         for x in (-0.21, 0.07)
@@ -138,7 +138,10 @@ def arm() -> tuple[Link, ...]:
 
 
 def wrist() -> tuple[Link, ...]:
-    """Yaw, pitch, roll, and a hand with two fingers. At zero the hand points where the arm does, to the right (-y)."""
+    """Return the links of the wrist (yaw, pitch, roll) and of a hand with two fingers.
+
+    At zero, the hand points in the direction of the arm, to the right (-y).
+    """
     yaw = (
         solid(disc_points(0.030, 0.060, axis=2, bevel=0.006), GRAPHITE),
         solid(disc_points(0.024, 0.030, axis=2, center=(0, 0, -0.040), bevel=0.005), AMBER),
@@ -224,7 +227,7 @@ def wrist() -> tuple[Link, ...]:
 
 
 def head() -> tuple[Link, ...]:
-    """Pan and tilt on top of the mast; the camera stands upright, as a portrait."""
+    """Return the head, which pans and tilts on top of the mast; the camera is upright, for portrait images."""
     pan = (
         solid(disc_points(0.044, 0.036, axis=2, center=(0, 0, 0.018), bevel=0.006), GRAPHITE),
         solid(

@@ -32,10 +32,10 @@ GRIPPER_REST = 0.0
 LEG_REST = (0.0, 0.7, -1.5)
 HIP_X, HIP_Y, HIP_OUT, THIGH = 0.29785, 0.055, 0.110945, 0.3205
 STANDING_M = 0.48
-"""Base frame above the floor, as Habitat places Spot (spec/habitat.md 4)."""
+"""Height of the base frame above the floor [m], as Habitat places Spot (spec/habitat.md 4)."""
 FOOT_RADIUS = 0.03
 SHANK = (STANDING_M - FOOT_RADIUS - THIGH * np.cos(0.7)) / np.cos(0.8)
-"""From knee to foot: what the resting angles leave of that height. It puts the feet below the hips."""
+"""Length from knee to foot [m], so that the feet are on the floor, below the hips, at the resting angles."""
 SHOULDER = (0.292, 0.0, 0.188)
 UPPER_ARM, FOREARM, ELBOW_RISE = 0.3385, 0.4033, 0.075
 HIP_ROLL, HIP_PITCH, KNEE = (-0.785, 0.785), (-0.899, 2.295), (-2.793, -0.247)
@@ -44,7 +44,7 @@ FRONT_CAMERA_X, FRONT_CAMERA_Y = 0.41648, 0.0367
 
 
 def torso() -> Link:
-    """Graphite tub, ivory shell with a sloping nose, a lit band and two windows in front."""
+    """Return the torso: a graphite tub, an ivory shell with a sloping nose, a lit band and two windows in front."""
     shell = [
         box_points((0.74, 0.27, 0.05), bevel=0.018, center=(-0.02, 0, 0.035)),
         box_points((0.60, 0.19, 0.03), bevel=0.012, center=(-0.03, 0, 0.080)),
@@ -98,7 +98,7 @@ def torso() -> Link:
 
 
 def arm() -> tuple[Link, ...]:
-    """Turret, upper arm in two rolling halves, elbow that carries the forearm above, wrist, hand, jaw."""
+    """Return the arm: turret, upper arm in two rolling halves, elbow with the forearm above, wrist, hand and jaw."""
     turret = (
         solid(disc_points(0.070, 0.05, axis=2, center=(0, 0, 0.02)), GRAPHITE),
         solid(
@@ -260,7 +260,7 @@ def arm() -> tuple[Link, ...]:
 
 
 def leg(name: str, front: float, left: float) -> tuple[Link, ...]:
-    """Hip roll, hip pitch, knee. ``front`` and ``left`` are +1 or -1."""
+    """Return a leg with hip roll, hip pitch and knee. ``front`` and ``left`` are +1 or -1."""
     out = left * HIP_OUT
     hip = (
         solid(
@@ -322,10 +322,10 @@ def leg(name: str, front: float, left: float) -> tuple[Link, ...]:
 
 
 def cameras() -> tuple[Camera, ...]:
-    """Two on the hand, five on the body; each sees colour and depth.
+    """Return the cameras, two on the hand and five on the body; each provides colour and depth.
 
-    Those of the hand and in front are where Habitat has them (spec/habitat.md 4): the front ones look across each other
-    and are rolled, one like the other in a mirror. For the sides and the rear no source gives a place.
+    Cameras on the hand and in front have Habitat's poses (spec/habitat.md 4): the front cameras look across each other
+    and are rolled symmetrically. No source gives the poses of the cameras at the sides and the rear.
     """
     hand: Vector = (0.166, 0.0, 0.018)
     down = np.radians(25)

@@ -1,4 +1,4 @@
-"""docs/pictures/behaviour_*.webp: six films of learned policies, found in recordings by events and by how agents move.
+"""Script for docs/pictures/behaviour_*.webp: six films of learned policies, found in recordings by events and motion.
 
 h3data generate social_nav --policy end_to_end --scenes h3-homes/test --episodes 30 --seed 9107 -o nav
 h3data generate rearrange --policy plan_pop_3_pixels --partner both --scenes h3-homes/test --episodes 12 --seed 9107 -o pixels
@@ -79,7 +79,7 @@ class Motion:
         )
 
     def passes_door(self, agent: int) -> NDArray[np.bool_]:
-        """Steps in which an agent comes from one room into another, [T]."""
+        """Return a mask of the steps in which an agent goes from one room into another, [T]."""
         own = self.rooms[agent]
         return np.append(False, (own[1:] != own[:-1]) & (own[1:] >= 0) & (own[:-1] >= 0))
 
@@ -201,7 +201,7 @@ def follows_around_a_corner(recording: Recording, motion: Motion) -> list[Moment
 
 
 def shares_the_task(recording: Recording, motion: Motion) -> list[Moment]:
-    """Each of the two brings one object to its goal; they come within 1.5 m of each other and never touch."""
+    """Find where both agents bring an object to its goal, come within 1.5 m of each other and never touch."""
     done = [e for e in recording.events if e.kind == "place" and e.detail == "at its goal"]
     succeeded = any(e.kind == "success" for e in recording.events)
     if not succeeded or {e.agent for e in done} != {ROBOT, PERSON} or motion.touching.any() or motion.away.min() > 1.5:
@@ -242,7 +242,7 @@ def above(replay: Replay, motion: Motion, moment: Moment) -> CameraTrack:
 
 
 def film(recording: Recording, moment: Moment, camera: str, file: Path) -> int:
-    """Render a moment; returns the number of steps between frames."""
+    """Render a moment and return the number of steps between frames."""
     replay = Replay(recording, light="baked")
     every = max(-(-(moment.last - moment.first + 1) // FRAMES), 3)
     if camera == "above":
@@ -256,7 +256,7 @@ def film(recording: Recording, moment: Moment, camera: str, file: Path) -> int:
 
 
 def main(out: Path, folders: Sequence[str], only: Sequence[str] = ()) -> None:
-    """Find the moments, prints where they are, and renders a film of each."""
+    """Find the moments, print where they are, and render a film of each."""
     datasets = {folder: Dataset(folder) for folder in folders}
     episodes = [(folder, k) for folder, data in datasets.items() for k in range(len(data))]
     found: dict[str, list[tuple[float, str, int, Moment]]] = {name: [] for name in FILMS}

@@ -1,4 +1,4 @@
-"""docs/pictures/benchmark.png: the baselines of the benchmarks, each mean with its 95% interval.
+"""Script for docs/pictures/benchmark.png: the baselines of the benchmarks, each mean with its 95% interval.
 
 python -m bake.sheets.benchmark docs/pictures/benchmark.png
 """

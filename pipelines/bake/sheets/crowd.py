@@ -1,4 +1,4 @@
-"""docs/pictures/crowd.jpg: a robot of `crowd_nav` among four people, over its shoulder in four moments.
+"""Script for docs/pictures/crowd.jpg: a robot of `crowd_nav` among four people, over its shoulder in four moments.
 
 python -m bake.sheets.crowd docs/pictures/crowd.jpg
 """
@@ -20,7 +20,7 @@ SHARES = (0.15, 0.35, 0.55, 0.75)
 
 
 def main(out: str) -> None:
-    """Play an episode and writes the picture."""
+    """Play an episode and write the picture."""
     recording = h3data.simulate(CrowdNav, SCENE, roster=ROSTER, agents={"robot": "mpc"}, seed=SEED)
     replay = Replay(recording, light="baked")
     shots = [("third_person", int(share * (len(recording) - 1))) for share in SHARES]

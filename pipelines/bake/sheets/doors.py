@@ -1,4 +1,4 @@
-"""docs/pictures/doors.jpg: doors of the generator, closed, half open and open; above those that swing, below those that slide.
+"""Script for docs/pictures/doors.jpg: swinging doors (above) and sliding doors, closed, half open and open.
 
 python -m bake.sheets.doors docs/pictures/doors.jpg
 """
@@ -41,7 +41,7 @@ def row(scene: Scene, name: str) -> NDArray[np.uint8]:
 
 
 def main(path: str) -> None:
-    """Render the doors and writes the picture."""
+    """Render the doors and write the picture."""
     rows = [row(build_home(HomeSpec(seed=seed, generation=2, doors=True)), name) for seed, name in SHOWN]
     write_jpg(path, np.vstack([rows[0], np.full((GAP, rows[0].shape[1], 3), 255, np.uint8), rows[1]]))
 

@@ -36,7 +36,7 @@ VIEW_PX = (480, 320)
 
 
 def _labelled(picture: Picture, text: str, *, scale: float = 0.45) -> Picture:
-    """A picture with a line of text above it."""
+    """Return a picture with a line of text above it."""
     import cv2
 
     height = LABEL_PX if scale < 0.4 else 24
@@ -158,7 +158,7 @@ SHEETS: Mapping[str, Callable[[], Picture]] = {
 
 
 def main() -> None:
-    """Render and writes the sheets."""
+    """Render and write the sheets."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", help=f"some of {', '.join(SHEETS)} (default: all)")

@@ -1,4 +1,4 @@
-"""docs/pictures/lerobot.jpg: frames of a dataset's video, and the environment of that dataset after the same actions.
+"""Script for docs/pictures/lerobot.jpg: frames of a dataset's video, and its environment after the same actions.
 
 python -m bake.sheets.lerobot docs/pictures/lerobot.jpg
 """
@@ -30,7 +30,7 @@ def frames_of(folder: Path) -> list[NDArray[np.uint8]]:
 
 
 def main(out: str) -> None:
-    """Make the dataset, repeats its actions in its environment and draws both."""
+    """Make the dataset, repeat its actions in its environment, and render both."""
     with TemporaryDirectory() as name:
         source, demos = str(Path(name) / "ds"), Path(name) / "demos"
         options = f"--scenes medium:1 --seed {SEED} --episodes 1 --max-steps {STEPS} --cameras {CAMERA}@{SIDE}x{SIDE}"

@@ -1,4 +1,4 @@
-"""docs/pictures/lidar.jpg: points of a laser scanner that sees legs, in an episode and from above, and those of a 3-D scanner.
+"""Script for docs/pictures/lidar.jpg: points of a laser scanner that sees legs, and those of a 3-D scanner.
 
 python -m bake.sheets.lidar docs/pictures/lidar.jpg
 """
@@ -25,7 +25,7 @@ NEARER_M = 0.08
 
 
 def picture(replay: Replay, scan: Scan, name: str) -> NDArray[np.uint8]:
-    """RGB [H, W, 3] of a camera with the points of a scan."""
+    """Return the picture of a camera with the points of a scan, RGB [H, W, 3]."""
     seen_from = camera_at(replay, name, STEP)
     track = CameraTrack(camera=seen_from, poses=seen_from.pose[None])
     shown = next(iter(replay.frames([track], [STEP], outputs=("rgb", "depth"))))[1][0]
@@ -43,14 +43,14 @@ def picture(replay: Replay, scan: Scan, name: str) -> NDArray[np.uint8]:
 
 
 def _pixels(camera: Camera, local: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Columns and rows of points [N, 3] in the frame of a camera."""
+    """Return the columns and rows of points [N, 3] in the frame of a camera."""
     away = local[:, 2] if camera.projection == "perspective" else np.ones(len(local))
     x, y = camera.fx * local[:, 0] / away + camera.cx, camera.fy * local[:, 1] / away + camera.cy
     return np.nan_to_num(x, nan=-1).astype(np.int64), np.nan_to_num(y, nan=-1).astype(np.int64)
 
 
 def main(out: str) -> None:
-    """Play an episode and writes the picture."""
+    """Play an episode and write the picture."""
     recording = h3data.simulate(SocialNav, "small:1", seed=3, max_steps=STEP + 30, sensors=("lidar_legs", "lidar_3d"))
     replay = Replay(recording, light="baked")
     pictures = [picture(replay, scans_of(recording)[0], name) for name in CAMERAS]

@@ -1,4 +1,4 @@
-"""docs/pictures/mjcf.jpg: robots from MJCF files of our own at rest, each from three sides.
+"""Script for docs/pictures/mjcf.jpg: robots from h3data's own MJCF files at rest, each from three sides.
 
 python -m bake.sheets.mjcf tests/data/mjcf/barrow.xml,tests/data/mjcf/porter.xml docs/pictures/mjcf.jpg
 """
@@ -21,7 +21,7 @@ SIDES_DEG = (-40.0, 40.0, 140.0)
 
 
 def main(robot_files: str, out: str) -> None:
-    """Render the robots at rest, a row for each, and writes the picture."""
+    """Render the robots at rest, a row for each, and write the picture."""
     write_jpg(out, np.vstack([_row(file) for file in robot_files.split(",")]))
 
 

@@ -1,4 +1,4 @@
-"""docs/pictures/remote.jpg: what a policy server was shown at some of its requests, and the actions that it answered.
+"""Script for docs/pictures/remote.jpg: observations in requests to a policy server, and the actions in its answers.
 
 The server speaks openpi's protocol and follows the person by the numbers that it is sent; the pictures are those of the adapter
 ``openpi``.
@@ -38,7 +38,7 @@ def answer(state: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def requests() -> list[Request]:
-    """Play an episode with a server of this process; returns the pictures and chunks of all requests."""
+    """Play an episode with a server in this process; return the pictures and chunks of all requests."""
     seen: list[Request] = []
 
     def handle(connection: ServerConnection) -> None:
@@ -75,7 +75,7 @@ def plot(chunk: NDArray[np.float64]) -> Image.Image:
 
 
 def main(out: str) -> None:
-    """Play the episode and writes the picture."""
+    """Play the episode and write the picture."""
     seen = requests()
     sheet = Image.new("RGB", ((WIDTH + 4) * PANELS - 4, WIDTH + 18 + PLOT), "white")
     for n, index in enumerate(np.linspace(FIRST, len(seen) - 5, PANELS).astype(int).tolist()):

@@ -1,4 +1,4 @@
-"""docs/pictures/ros.jpg: tracks of people and a map of a robot, as they look when they have become a recording.
+"""Script for docs/pictures/ros.jpg: tracks of people and a map of a robot after their import as a recording.
 
 The tracks and the map are those of one of our own episodes, written as a table of places and as an occupancy map.
 
@@ -48,7 +48,7 @@ def write_tracks(episode: Recording, folder: Path) -> None:
 
 
 def main(out: str) -> None:
-    """Play an episode, writes its tracks, imports them and writes the picture."""
+    """Play an episode, write its tracks, import them, and write the picture."""
     episode = h3data.simulate(CrowdNav, "small:1", roster=ROSTER, agents={"robot": "mpc"}, seed=5)
     with TemporaryDirectory() as name:
         folder = Path(name)

@@ -1,4 +1,4 @@
-"""docs/pictures/scenarios.png: an episode of each scenario card from above, with the tracks of the robot and of people.
+"""Script for docs/pictures/scenarios.png: an episode of each scenario card from above, with the tracks of all agents.
 
     PYTHONPATH=pipelines python -m bake.sheets.scenario docs/pictures/scenarios.png
 
@@ -28,7 +28,7 @@ ROBOT, PEOPLE = "#d1495b", ("#30638e", "#3d8f5f", "#8a5a9e", "#b7791f", "#4a4a4a
 
 
 def draw(name: str, recording: Recording, free: FreeSpace) -> Image.Image:
-    """Return an episode from above: the free floor in white, and where everybody goes."""
+    """Return an episode from above: the free floor in white, and the paths of all agents."""
     extra, pixels = recording.episode.info["extra"], SIZE * FINER
     tracks = [recording.columns[f"agent_{k}.base_pose"][:, [0, 2]] for k in range(len(recording.agents))]
     everything = np.vstack([*tracks, [extra["goal"]]])
@@ -57,7 +57,7 @@ def draw(name: str, recording: Recording, free: FreeSpace) -> Image.Image:
 
 
 def main(out: str) -> None:
-    """Play an episode of each card and draws them all."""
+    """Play an episode of each card and draw all of them."""
     task, cards = Scenarios(), list(load_cards())
     source = named_scenes(SCENE)[0].source
     rules = ScenarioSpec()

@@ -1,4 +1,4 @@
-"""docs/pictures/storeys.jpg and stairs.jpg: a home with two storeys, and agents on its stairs frame by frame.
+"""Script for docs/pictures/storeys.jpg and stairs.jpg: a home with two storeys, and agents on its stairs by frame.
 
     PYTHONPATH=pipelines python -m bake.sheets.storeys docs/pictures
 
@@ -33,7 +33,7 @@ from sim_kinematic.tasks.wander import Wander
 
 SEED, WIDTH = 3, 1920
 UPPER_M = 1.2
-"""People on the stairs are looked for between this height and the upper floor less it."""
+"""Margin between the range of heights in which people count as being on the stairs and the floors at both ends [m]."""
 
 
 def stairs_of(scene: Scene) -> Room:
@@ -60,7 +60,7 @@ def cutaway(scene: Scene, width: int, height: int) -> Camera:
 
 
 def on_landing(scene: Scene, *, upper: bool, width: int, height: int) -> Camera:
-    """Return the view of somebody who stands on a landing and looks along the stairs."""
+    """Return the view of a person who stands on a landing and looks along the stairs."""
     room = stairs_of(scene)
     assert room.ramp is not None
     x0, z0, x1, z1 = room.rectangles[0].tolist()
@@ -147,7 +147,7 @@ def stairs_sheet(scene: Scene) -> NDArray[np.uint8]:
 
 
 def main(folder: str) -> None:
-    """Draw both."""
+    """Draw both pictures."""
     scene = build_home(HomeSpec(seed=SEED, generation=2, storeys=2))
     out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)

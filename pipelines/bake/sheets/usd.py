@@ -1,4 +1,4 @@
-"""docs/pictures/usd.jpg: a home of ours, the same home read back from USD, and how many pixels differ.
+"""Script for docs/pictures/usd.jpg: a generated home, the same home read from USD, and the number of different pixels.
 
 python -m bake.sheets.usd docs/pictures/usd.jpg
 """
@@ -19,7 +19,7 @@ SCENE, PIXELS_PER_M, TITLE = "small2-doors:3", 40.0, 20
 
 
 def main(out: str) -> None:
-    """Write the home as USD, reads it and draws both."""
+    """Write the home as USD, read it, and render both."""
     own = open_scene(named_scenes(SCENE)[0].source)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "home.usdz"

@@ -186,7 +186,7 @@ class _Export:
         return FoxgloveFile(path, tuple(sorted(self._topics)), self._count, len(self._scene.frames.names))
 
     def _world_poses(self, steps: NDArray[np.intp]) -> Array:
-        """pose7 of all frames at ``steps``, cameras last."""
+        """Return pose7 of all frames at ``steps``, cameras last."""
         things = self._scene.world_poses(steps, self._posed(steps))
         seen_from = [
             np.broadcast_to(pose_from_matrix(v.poses[steps if len(v.poses) > 1 else [0]]), (len(steps), 7))[:, None]
@@ -232,7 +232,7 @@ class _Export:
 
     # --- the log ------------------------------------------------------------------------------------------------------
     def _log_lines(self) -> list[tuple[int, Any]]:
-        """``(time, message)`` of all lines, the last one first."""
+        """Return ``(time, message)`` of all lines, the last one first."""
         found = []
         for line in log_lines(self._recording):
             # files of others may have events at steps that are not there

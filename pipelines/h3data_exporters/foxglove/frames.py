@@ -10,7 +10,7 @@ ROOT, WORLD = "map", "world"
 """Names of the root frame, which has +Z up as these viewers expect, and of the recording's world below it, with +Y up."""
 _WORLD_IN_ROOT = np.concatenate([np.zeros(3), quat_from_axis_angle([1.0, 0, 0], np.pi / 2)])
 _MOVED = 1e-6
-"""A frame is told of again when a coordinate [m] or quaternion component differs by more from what was told last."""
+"""Least difference of a coordinate [m] or quaternion component after which a frame is sent again."""
 _WHOLE_NS = 1_000_000_000
 """Interval at which all frames are sent again, so that viewers who jump in time soon see them."""
 

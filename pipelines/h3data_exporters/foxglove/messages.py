@@ -31,7 +31,7 @@ from h3data.geometry import Array, pose_multiply
 from h3data.render.camera import Camera
 
 _TURN = np.array([0, 0, 0, -np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
-"""Viewers of these messages have +Z up and turn glTF models by 90 degrees about x; this turns them back."""
+"""Rotation that undoes the 90 degrees about x by which viewers of these messages, with +Z up, turn glTF models."""
 _TAG_M = 0.18
 
 

@@ -35,7 +35,7 @@ def rigid_pieces(mesh: Mesh, skeleton: Skeleton) -> list[tuple[int, Mesh]]:
 
 
 def _in_posture(mesh: Mesh, skeleton: Skeleton, share: Array) -> tuple[Array, Array | None, Array]:
-    """Vertices and normals [V, 3] in the first posture, in metres, and the matrices [J, 4, 4] from there to the joints."""
+    """Return vertices and normals [V, 3] in the first posture, in metres, and the matrices [J, 4, 4] to the joints."""
     size = np.diag([skeleton.scale] * 3 + [1.0])
     frames = skeleton.poses[0]
     if np.isfinite(frames).all():

@@ -76,7 +76,7 @@ class FoxgloveScene:
         return np.concatenate([np.zeros((len(steps), 0, 7)), *columns], axis=1)
 
     def _add(self, part: PosedPart) -> int:
-        """Entities of a part; returns how many frames it has."""
+        """Add the entities of a part, and return its number of frames."""
         parent = self._parent(part)
         if part.skeleton is not None:
             owner = part.name if parent < 0 else self.frames.names[parent]
@@ -99,7 +99,7 @@ class FoxgloveScene:
         return self._agents[part.agent] if part.body is None and part.agent >= 0 else -1
 
     def _glb(self, mesh: Mesh) -> bytes:
-        """Empty if there is nothing to see; the same mesh is packed once."""
+        """Return the mesh as GLB, packed once per mesh; empty if there is nothing to see."""
         if id(mesh) not in self._glbs:
             self._glbs[id(mesh)] = glb_bytes([mesh]) if len(mesh.faces) else b""
         return self._glbs[id(mesh)]

@@ -57,7 +57,7 @@ _OLDER = {"info": b"null", "markers": b"{"}
 """Beginnings of values that other versions of Habitat wrote and nothing reads any more; they are kept in ``extra``."""
 _OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _BLOCK = 1000
-"""Episodes that are decoded at once: their matrices become one array, before the next block's numbers exist as objects."""
+"""Number of episodes that are decoded at once; their matrices become one array before the next block is read."""
 
 
 @dataclass
@@ -226,7 +226,7 @@ def _marker(content: dict[str, Any], where: str, path: Path) -> Marker:
 
 
 def _located(where: str, key: str, fault: Exception, text: msgspec.Raw | None = None) -> str:
-    """``episodes[3].rigid_objs[0][1]: Expected ...`` from msgspec's words about the value ``text`` of ``key``."""
+    """Return ``episodes[3].rigid_objs[0][1]: Expected ...`` from msgspec's words about the ``text`` of ``key``."""
     words, _, place = str(fault).partition(" - at ")
     inner = match[0][1:] if (match := re.search(r"\$[^`]*", place)) else ""
     if text is not None and inner.startswith("[...]"):
@@ -238,7 +238,7 @@ def _located(where: str, key: str, fault: Exception, text: msgspec.Raw | None = 
 
 
 def _culprit(key: str, text: msgspec.Raw) -> str:
-    """Which entry of an object has the wrong type; msgspec does not say."""
+    """Return which entry of an object has the wrong type, because msgspec does not say."""
     # only after a fault, so that it may be slow
     decoder = msgspec.json.Decoder(get_args(KEYS[key])[1])
     for name, entry in _OBJECT.decode(text).items():

@@ -60,7 +60,7 @@ def _read(path: Path, strict: bool) -> EpisodeSet:
 
 @contextmanager
 def _collector_paused() -> Iterator[None]:
-    """No search for reference cycles, of which there are none here: 2.1 instead of 2.9 s for 37,000 episodes."""
+    """Pause the search for reference cycles, of which there are none here: 2.1 instead of 2.9 s for 37,000 episodes."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -169,7 +169,7 @@ def _too_deep(path: Path) -> FormatError:
 
 
 def _content_files(path: Path, extra: Mapping[str, Any]) -> list[tuple[str, Path]]:
-    """Names and paths of the files that a split dataset consists of, by name."""
+    """Return the names and paths of the files that a split dataset consists of, by name."""
     pattern = extra.get("content_scenes_path", _CONTENT_PATH)
     if not isinstance(pattern, str) or pattern.count("{scene}") != 1 or not pattern.startswith("{data_path}/"):
         raise FormatError(

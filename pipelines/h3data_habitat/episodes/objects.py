@@ -61,7 +61,7 @@ def search_of(scene: Scene, paths: Sequence[str], assets: Sequence[str]) -> Obje
 
 
 def search_in(source: SceneSource, paths: Sequence[str]) -> ObjectSearch:
-    """Return the folders in which objects are looked for, before the scene has been opened."""
+    """Return the folders in which objects are searched, before the scene has been opened."""
     if not isinstance(source, SceneFile):
         return ObjectSearch(paths=tuple(paths))
     config = source.path

@@ -18,7 +18,7 @@ _RESULTS = {
     "eid_to_explanation": "explanation",
 }
 _LEVELS = 3
-"""``<collection>/{raw/<session>,processed/best}/<episode>.json.gz`` lie so far below the metrics at most."""
+"""Largest depth of ``<collection>/{raw/<session>,processed/best}/<episode>.json.gz`` below the metrics."""
 
 
 def partnr_result(path: Path) -> dict[str, Any]:

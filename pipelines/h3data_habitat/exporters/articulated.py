@@ -24,7 +24,7 @@ from h3data_exporters.glb_write import glb_bytes
 from h3data_habitat.scenes.colliders import part_mesh
 
 _MASS = '<inertial><origin xyz="0 0 0"/><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
-"""habitat-sim asks for a mass; things stand still all the same (``fixed_base``, ``KINEMATIC``)."""
+"""Element with a mass, which habitat-sim requires; things stand still all the same (``fixed_base``, ``KINEMATIC``)."""
 
 ReceptacleEntry = Callable[[Receptacle, NDArray[np.float64], str], dict[str, Any]]
 
@@ -148,7 +148,7 @@ def _joint(part: Part, links: Mapping[str, str], frames: Mapping[str, Array], li
 
 
 def _geometry(files: dict[str, bytes], shape: Shape, local: Array) -> str:
-    """Origin and geometry of a collision part that ``local`` [4, 4] brings into the frame of its link."""
+    """Return the origin and geometry of a collision part that ``local`` [4, 4] brings into the frame of its link."""
     size = np.linalg.norm(local[:3, :3], axis=0)
     # a box that is stretched and turned is none any more
     if isinstance(shape, Box) and (np.ptp(size) < 1e-9 or shape.pose[6] == 1):
@@ -184,7 +184,7 @@ def _rotation(matrix: Array) -> list[float]:
 
 
 def _rpy(turn: Array) -> NDArray[np.float64]:
-    """URDF's angles: about the fixed axes x, y, then z."""
+    """Return the angles of URDF: about the fixed axes x, y, then z."""
     pitch = np.arctan2(-turn[2, 0], np.hypot(turn[0, 0], turn[1, 0]))
     if abs(turn[2, 0]) > 1 - 1e-9:  # x and z turn about the same axis: z stays
         return np.array([np.arctan2(-turn[1, 2], turn[1, 1]), pitch, 0.0])

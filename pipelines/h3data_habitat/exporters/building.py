@@ -58,7 +58,7 @@ def speck(scene: Scene, stage: Sequence[Instance]) -> Mesh:
 
 
 def parts_by_class(meshes: Sequence[Mesh], nodes: Sequence[GlbNode]) -> list[tuple[list[Mesh], list[GlbNode]]]:
-    """Return meshes and nodes of the same category, semantic id and layer, in the order of their first occurrence."""
+    """Return meshes and nodes grouped by category, semantic id and layer, in the order of their first occurrence."""
     classes: dict[tuple[object, ...], tuple[list[Mesh], list[GlbNode]]] = {}
     for node in nodes:
         own_meshes, own_nodes = classes.setdefault(tuple(node.extras["h3data"].values()), ([], []))
@@ -71,13 +71,13 @@ def parts_by_class(meshes: Sequence[Mesh], nodes: Sequence[GlbNode]) -> list[tup
 
 
 def _world_box(scene: Scene, instance: Instance) -> NDArray[np.float64]:
-    """Lower and upper corner [2, 3] [m] of an instance in the world."""
+    """Return the lower and upper corner [2, 3] [m] of an instance in the world."""
     points = transform_points(instance_matrix(instance), scene.assets[instance.asset].mesh.vertices.astype(np.float64))
     return np.stack([points.min(0), points.max(0)])
 
 
 def _without_roof(mesh: Mesh, matrix: NDArray[np.float64], ceilings: Sequence[NDArray[np.float64]]) -> Mesh:
-    """Return the mesh without what faces up on or in a ceiling, which nobody sees from inside.
+    """Return the mesh without upward faces on or in a ceiling, which are invisible from inside.
 
     habitat-sim bakes its navmesh from the stage: the roof was the largest island. A ceiling whose underside alone is left
     is too steep to walk on, and tops of walls in it would lend it their walkability (``rcAddSpan`` merges spans).

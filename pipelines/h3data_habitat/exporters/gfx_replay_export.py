@@ -195,7 +195,7 @@ class _Rig:
     number: int
     names: tuple[str, ...]
     poses: Array
-    """pose7 [T, B, 7]."""
+    """Poses of the bones, pose7 [T, B, 7]."""
 
 
 def _rig_of(part: PosedPart, rigs: Mapping[str, Any], recording: Recording, number: int) -> _Rig | None:
@@ -211,7 +211,7 @@ def _rig_of(part: PosedPart, rigs: Mapping[str, Any], recording: Recording, numb
 
 
 def _root_bone(part: PosedPart, rig: _Rig) -> Array:
-    """pose7 [T, 7] of the bone that habitat-sim takes out of all others before it places the instance.
+    """Return pose7 [T, 7] of the bone that habitat-sim takes out of all others before it places the instance.
 
     It multiplies every bone by the inverse of the first one that it finds in the nodes of the file, depth first
     (`Drawable::buildSkinJointTransforms`, `ResourceManager::mapSkinnedModelToRig`), so the instance has to stand where that
@@ -311,7 +311,7 @@ class _Assets:
     folder: Path
     contents: dict[Path, bytes] = field(default_factory=dict)
     _known: dict[int, tuple[Mesh, str]] = field(default_factory=dict)
-    """By id of the mesh, which is held so that its id stays its own."""
+    """Assets by the id of their mesh, which is stored so that its id remains unique."""
 
     def file_of(self, part: PosedPart, ref: AssetRef | None, recording: Recording) -> tuple[str, _Item | None]:
         """Return the path under which an instance is created and the load entry of its file, if it has one."""

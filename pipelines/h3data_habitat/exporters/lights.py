@@ -31,7 +31,7 @@ def axis_lights() -> list[tuple[list[float], list[float]]]:
 
 
 def _colors() -> NDArray[np.float64]:
-    """sRGB light [6, 3] of our renderer on surfaces that face along `_AXES`."""
+    """Return sRGB light [6, 3] of our renderer on surfaces that face along `_AXES`."""
     light, normals = Light(), np.array(_AXES, np.float64)
     # light of sky and ground, mixed by how much the surface faces either
     up = (normals[:, 1:2] + 1) / 2

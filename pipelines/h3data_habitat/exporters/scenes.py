@@ -62,11 +62,11 @@ NAVMESH_SETTINGS: Mapping[str, float | bool] = {
 ``includeStaticObjects``, so furniture has to be requested in Python (h3data docs habitat)."""
 
 _AXES = {"up": [0, 1, 0], "front": [0, 0, -1]}
-"""Always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
+"""Axes of the stage, which are always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
 _LEXICON = "semantics/h3data_semantic_lexicon.json"
 _ROOM_HEIGHT_M = 2.6
 _MARK = "h3data.habitat_export"
-"""Stands in the dataset config: ``force`` deletes no folder without it."""
+"""Mark in the dataset config; ``force`` deletes no folder without it."""
 
 
 def export_habitat(scene: Scene, folder: str | Path, *, split_building: bool = False, force: bool = False) -> Path:
@@ -160,7 +160,7 @@ class _Files:
     content: dict[str, bytes] = field(default_factory=dict)
     classes: dict[int, str] = field(default_factory=lambda: {0: "unknown"})
     articulated: bool = False
-    """True if anything opens."""
+    """True if any object of the scene can be opened."""
     navmeshes: dict[str, str] = field(default_factory=dict)
     """Paths of the navmeshes by handle."""
     _templates: dict[tuple[int, int], str] = field(default_factory=dict)
@@ -439,7 +439,7 @@ def _object_config(render_asset: str, semantic_id: int) -> dict[str, Any]:
 
 
 def _receptacle(receptacle: Receptacle, scale: NDArray[np.float64], name: str) -> dict[str, Any]:
-    """A box above the surface: its bottom is the surface, its height the clearance (half extents, spec/habitat.md 6.4)."""
+    """Return a box above the surface, with the clearance as its height (half extents, spec/habitat.md 6.4)."""
     lift = np.array([0.0, receptacle.clearance_m / 2, 0.0])
     half = np.array([receptacle.half_size[0], lift[1], receptacle.half_size[1]]) * scale
     return {
@@ -461,7 +461,7 @@ def _file_name(text: str) -> str:
 
 
 def _refuse(folder: Path, *, force: bool) -> None:
-    """`InputError` unless the folder is absent, empty, or an earlier export that may be replaced."""
+    """Raise an `InputError` unless the folder is absent, empty, or an earlier export that may be replaced."""
     try:
         if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
             return
@@ -485,7 +485,7 @@ def _refuse(folder: Path, *, force: bool) -> None:
 
 
 def _write(folder: Path, content: Mapping[str, bytes], *, force: bool) -> None:
-    """All files into ``<folder>.part``, which then takes the place of the folder."""
+    """Write all files into ``<folder>.part``, which then takes the place of the folder."""
     part, old = (folder.with_name(folder.name + ending) for ending in (".part", ".old"))
     try:
         if part.exists():

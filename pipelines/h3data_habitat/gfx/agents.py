@@ -185,7 +185,7 @@ def _track(body: Body, object_pose: NDArray[np.float32] | None, steps: int) -> N
 
 
 def _base_pose(track: NDArray[np.float64], *, forward: Literal[0, 2], height: float) -> NDArray[np.float32]:
-    """pose7 [T, 7] on the floor under nodes [T, 7] that face along their axis ``forward`` (0 = x, 2 = z)."""
+    """Return pose7 [T, 7] on the floor under nodes [T, 7] that face along their axis ``forward`` (0 = x, 2 = z)."""
     direction = quat_rotate(track[:, 3:], np.eye(3)[forward])
     heading = np.arctan2(-direction[:, 2], direction[:, 0])
     pose = ground_pose(track[:, [0, 2]], heading, track[:, 1] - height)

@@ -255,7 +255,7 @@ def _tracks(fold: Fold) -> NDArray[np.float32]:
 
 
 def _rows(life: Life, start: int, stop: int) -> NDArray[np.float32]:
-    """pose7 [stop - start, 7] of an instance."""
+    """Return pose7 [stop - start, 7] of an instance."""
     rows = _filled(life.updates, start, stop, end=life.end)[:, 0]
     if not life.placed:
         # created without a pose, it is at the origin until it gets one

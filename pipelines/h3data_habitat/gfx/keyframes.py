@@ -215,7 +215,7 @@ def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Itera
 
 
 def _texts(file: SourceFile, digest: Callable[[bytes], object]) -> Iterator[tuple[int, bytes]]:
-    """First byte and text of each keyframe."""
+    """Yield the first byte and the text of each keyframe."""
 
     def digested() -> Iterator[bytes]:
         for chunk in file.chunks():
@@ -239,7 +239,10 @@ def _texts(file: SourceFile, digest: Callable[[bytes], object]) -> Iterator[tupl
 
 
 def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
-    """First byte and text of each keyframe; ``head`` is the beginning of the file, the list opens before ``start``."""
+    """Yield the first byte and the text of each keyframe.
+
+    ``head`` is the beginning of the file; the list opens before ``start``.
+    """
     elements = ArrayElements(chain([head[start:]], chunks), start, KEYFRAME_BYTES)
     yield from elements
     # what follows is read as a document whose list is empty: a second list would replace that
@@ -304,7 +307,7 @@ def explain(path: Path, fault: Undecodable | ArrayFault) -> FormatError:
 
 
 def _place(fault: Undecodable, where: str) -> str:
-    """Name the place ``where`` (a path of members and indices) of a fault; an instance is named by its key."""
+    """Return the name of the place ``where`` (a path of members and indices) of a fault; instances are named by key."""
     if fault.keyframe < 0:
         return where or "its top level"
     place = f"keyframe {fault.keyframe}"

@@ -169,7 +169,7 @@ def _assets_and_bodies(fold: Fold, path: Path) -> tuple[list[AssetRef], list[Bod
 
 
 def _color(filepath: str, loaded: Loaded | None) -> tuple[int, int, int] | None:
-    """sRGB override of an instance's material, or None.
+    """Return sRGB override of an instance's material, or None.
 
     The suffix ``?phong_amb_.._dif_.._spec_..`` of the creation belongs to this instance (sRGB, one uint32 RGBA each).
     The ``overridePhongMaterial`` of the loads (linear) is shared by the path, and counts only if no plain load exists.

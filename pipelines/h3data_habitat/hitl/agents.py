@@ -179,7 +179,7 @@ def _walking_person(
 
 
 def _on_floor(roots: Array, *, forward: Literal[0, 2], floor: Array) -> NDArray[np.float32]:
-    """pose7 [T, 7] of agent roots on the floor below roots [T, 7] that face along their axis ``forward``."""
+    """Return pose7 [T, 7] of agent roots on the floor below roots [T, 7] that face along their axis ``forward``."""
     direction = quat_rotate(roots[:, 3:], np.eye(3)[forward])
     heading = np.arctan2(-direction[:, 2], direction[:, 0])
     return _continuous(ground_pose(roots[:, [0, 2]], heading, floor))

@@ -39,7 +39,7 @@ Scalar = TypeVar("Scalar", bound=np.number[Any])
 
 
 def decoded(data: bytes, kind: type[T], path: Path, *, expected: str) -> T:
-    """Return the JSON document as ``kind``; a `FormatError` says where it differs from the file format named ``expected``."""
+    """Return the JSON document as ``kind``; a `FormatError` states where it differs from the format ``expected``."""
     try:
         return decode_json(data, kind)
     except msgspec.ValidationError as fault:

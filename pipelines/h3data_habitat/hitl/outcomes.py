@@ -69,7 +69,7 @@ def max_steps(config: Any) -> dict[str, int]:
 
 
 def _points(goals: Any) -> NDArray[np.float64] | None:
-    """Logged points [K, 3]: lists, or the dictionaries {"0": ...} into which omegaconf turns lists."""
+    """Return the logged points [K, 3]: lists, or the dictionaries {"0": ...} into which omegaconf turns lists."""
     rows = list(goals.values()) if isinstance(goals, dict) else goals
     if not isinstance(rows, list):
         return None

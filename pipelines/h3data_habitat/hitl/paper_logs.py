@@ -186,7 +186,7 @@ def _tracks(steps: Sequence[Step], path: Path) -> tuple[list[AgentTrack], list[s
 
 
 def _actions(steps: Sequence[Step], path: Path) -> tuple[NDArray[np.float64], list[str]]:
-    """Action vectors [T, A], NaN where a step has none, and warnings; [T, 0] if no step has one."""
+    """Return the action vectors [T, A], NaN where a step has none, and warnings; [T, 0] if no step has one."""
     vectors = [_vector(step.action) for step in steps]
     lengths = [len(v) for v in vectors if v is not None]
     # the most frequent length: some steps log a shorter vector or none
@@ -216,7 +216,7 @@ def _vector(action: Any) -> list[float] | None:
 
 
 def _people(actions: Array, roots: Sequence[Array]) -> dict[int, int]:
-    """Agents that are people with a posture in the action vector, and where in it the posture begins.
+    """Return the agents that are people with a posture in the action vector, and where in it the posture begins.
 
     The vector follows the order of the agents, so a person's part is the first or the last of it.
     """
@@ -246,7 +246,7 @@ def _is_posture(part: Array) -> NDArray[np.bool_]:
 
 
 def _posture(part: Array) -> tuple[Array, Array]:
-    """Local rotations [T, 54, 4] and pose7 [T, 7] of the agent root; steps without them keep the latest ones."""
+    """Return local rotations [T, 54, 4] and pose7 [T, 7] of the agent root; steps without them keep the last values."""
     part = held(part, _is_posture(part))
     joints = part[:, :JOINT_VALUES].reshape(len(part), -1, 4)
     base = part[:, -16:].reshape(-1, 4, 4)
@@ -263,7 +263,7 @@ _EVENTS = {"grasp_object_id": "pick", "drop_pos": "place"}
 
 
 def _input_columns(steps: Sequence[Step]) -> dict[str, NDArray[Any]]:
-    """Columns ``input.user_0.<name>``, float32 [T] or [T, n], NaN where a step lacks it."""
+    """Return the columns ``input.user_0.<name>``, float32 [T] or [T, n], NaN where a step lacks it."""
     rows: list[Mapping[str, Any]] = [s.gui_humanoid or {} for s in steps]
     columns, _ = scalar_columns([{k: v for k, v in row.items() if k not in _EVENTS} for row in rows], "input.user_0.")
     vectors: dict[str, NDArray[np.float32]] = {}

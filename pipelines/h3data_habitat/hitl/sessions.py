@@ -110,7 +110,7 @@ def read_hitl_episode(
       nobody was active is ``{}``: it repeats the state before it, its time lies between its neighbours', and the column
       ``recorded`` is False there.
     - Robots are shown by a built-in model at rest; people get a synthesised walk along their path
-      (`h3data_motion.walk_synthesis`); ``info["synthesised"]`` says so. ``agent_<i>.root_pose`` keeps the root of
+      (`h3data_motion.walk_synthesis`); ``info["synthesised"]`` states this. ``agent_<i>.root_pose`` keeps the root of
       people as logged.
     - ``user.user_<u>_camera`` [T, 7] is the view of user ``u`` in Habitat's camera frame (looks along -z), NaN where
       absent; ``input.user_<u>.held_object`` (``hovered_``, ``selected_``) the object ids, -1 = none; ``info["object_ids"]``
@@ -122,8 +122,10 @@ def read_hitl_episode(
 
     Args:
         path: the file.
-        assets: where the scene is searched; without it, or if the scene is not found, a marked floor is used.
-        quaternion_order: of agents and objects; habitat-lab writes xyzw. None infers it from the agents, who stand upright.
+        assets: Asset folders in which the scene is searched; without them, or if the scene is not found, a marked floor
+            is used.
+        quaternion_order: Order of the components of quaternions of agents and objects; habitat-lab writes xyzw. None
+            infers it from the agents, who stand upright.
 
     Raises:
         FormatError: the file is something else, truncated or damaged.
@@ -199,7 +201,7 @@ def upright_order(roots: Sequence[NDArray[np.float64]]) -> Order:
 
 
 def _agents(frames: Sequence[Frame], path: Path) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
-    """Roots [T, 7], NaN where absent, with the quaternions in the file's order, and held object ids [T] of each agent."""
+    """Return roots [T, 7] in the file's order of quaternions, NaN where absent, and held ids [T] of each agent."""
     agents = max(len(f.agent_states) for f in frames)
     roots = [np.full((len(frames), 7), np.nan) for _ in range(agents)]
     ids = [np.full(len(frames), -1.0) for _ in range(agents)]
@@ -222,7 +224,7 @@ def _objects(frames: Sequence[Frame], order: Order) -> tuple[PoseTracks, dict[in
 
 
 def _times(frames: Sequence[Frame]) -> tuple[NDArray[np.int64], float, list[str]]:
-    """Times since the first stamp [T] [ns], that stamp [s], and warnings.
+    """Return the times since the first stamp [T] [ns], that stamp [s], and warnings.
 
     Frames without a stamp are spread evenly between those with one; before and after them they follow at the usual step.
     """
@@ -248,7 +250,7 @@ def _times(frames: Sequence[Frame]) -> tuple[NDArray[np.int64], float, list[str]
 
 
 def _wall_clock(episode: Mapping[str, Any], t0_s: float) -> dict[str, int]:
-    """``t0_unix_ns``: wall clock at the first row, if the episode says when it began (whole seconds as text)."""
+    """Return ``t0_unix_ns``: wall clock at the first row, if the episode says when it began (whole seconds as text)."""
     start = episode.get("start_timestamp")
     if not isinstance(start, str) or not re.fullmatch(r"\d{1,10}(\.\d{1,9})?", start):
         return {}
@@ -299,7 +301,7 @@ def _columns(
 
 
 def _cameras(users: Sequence[User | None]) -> NDArray[np.float32]:
-    """pose7 [T, 7] of one user's view."""
+    """Return pose7 [T, 7] of one user's view."""
     poses = np.full((len(users), 7), np.nan)
     seen = [(k, u.camera_transform) for k, u in enumerate(users) if u is not None and u.camera_transform is not None]
     if seen:

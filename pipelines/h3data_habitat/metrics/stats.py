@@ -137,7 +137,7 @@ _OTHERS = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
 
 
 def _inverse(matrices: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Inverses [T, 4, 4] by the adjugate, operation by operation in float32."""
+    """Return the inverses [T, 4, 4] by the adjugate, operation by operation in float32."""
     # Magnum's matrices are column by column, and its order of operations decides the last bit
     m = np.ascontiguousarray(matrices.transpose(2, 1, 0))  # [column, row, T]
     signs = (1 - 2 * (np.indices((4, 4)).sum(0) % 2)).astype(np.float32)
@@ -153,7 +153,7 @@ def _inverse(matrices: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _minor(m: NDArray[np.float32], i: int, j: int) -> NDArray[np.float32]:
-    """Determinant of the 3 x 3 without column i and row j."""
+    """Return the determinant of the 3 x 3 without column i and row j."""
     (a, b, c), (d, e, f), (g, h, k) = [[m[column, row] for row in _OTHERS[j]] for column in _OTHERS[i]]
     return a * (e * k - h * f) - b * (d * k - g * f) + c * (d * h - g * e)
 

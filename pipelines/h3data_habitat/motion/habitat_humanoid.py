@@ -94,7 +94,7 @@ class HabitatMotion:
 
 
 def _turn(axis: int, degrees: float) -> Array:
-    """4x4 rotation about axis 0, 1 or 2."""
+    """Return the 4x4 rotation about axis 0, 1 or 2."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     matrix = np.eye(4)
     j, k = (axis + 1) % 3, (axis + 2) % 3
@@ -104,7 +104,7 @@ def _turn(axis: int, degrees: float) -> Array:
 
 _HALF_TURN = _turn(1, 180)
 _BASE_OF_ROOT = _turn(2, -90) @ _turn(1, -90)
-"""Root axes as the base names them."""
+"""Axes of the root in terms of the base."""
 _ROOT_OF_REACH = _turn(1, -90) @ _turn(2, -90)
 _REACH_OF_BASE = _turn(1, -90) @ _turn(0, -90)
 _WITHOUT_FORWARD = np.array([1.0, 1.0, 0.0])
@@ -223,8 +223,9 @@ class HabitatHumanoid:
     ) -> None:
         """Walk one step towards ``target`` [3] [m] while facing ``look`` [3], both relative to the base, world axes.
 
-        habitat-hitl's ``calculate_walk_pose_directional``: walking backwards. It plays 30 frames/s whatever the speeds, and a
-        body that has to turn by more than `MIN_TURN_DEG` goes where it looks, by 5 cm at most.
+        This is habitat-hitl's ``calculate_walk_pose_directional``, for walking backwards. It plays 30 frames/s at any
+        speed. A body that has to turn by more than `MIN_TURN_DEG` moves in the direction in which it looks, by at most
+        5 cm.
         """
         aim = np.asarray(target, np.float64)
         left = float(np.linalg.norm(aim))
@@ -246,8 +247,8 @@ class HabitatHumanoid:
     def with_gait(self, forward_m: float, turn_rad: float) -> None:
         """Move the base by ``forward_m`` [m] and turn it by ``turn_rad``, and find the frame of the clip that fits.
 
-        habitat-hitl's ``translate_and_rotate_with_gait``. Moving backwards plays the clip backwards. The heading from which
-        later walks turn stays that of the last walk, as it does there.
+        This is habitat-hitl's ``translate_and_rotate_with_gait``. Moving backwards plays the clip backwards. The
+        heading from which later walks turn stays that of the last walk, as it does there.
         """
         forward = self.base[:3, 0].copy()
         heading = float(np.arctan2(forward[0], forward[2])) + turn_rad
@@ -258,7 +259,7 @@ class HabitatHumanoid:
         self._show(self.frame)
 
     def _frame_after(self, way: float) -> int:
-        """Frame of the clip ``way`` [m] after the present one, by Habitat's binary search (the first frame not before it)."""
+        """Return frame of the clip ``way`` [m] after the present one: by Habitat's search, the first not before it."""
         total, here = float(self._displacement[-1]), float(self._displacement[self.frame])
         if abs(way) > total:
             # habitat-lab takes int(way / total) cycles off the length, which adds them for a way back: kept
@@ -379,8 +380,8 @@ def sequence_pose(clip: HabitatClip, frame: int, start: ArrayLike) -> tuple[Arra
 
     ``start`` [4, 4] is the base frame in which the sequence begins. The offset contains the displacement since then
     *and* the position of the start; habitat-lab multiplies it by the base frame, so there a sequence that does not
-    start at the world's origin is displaced. To place one rightly, use the offset with ``start`` at the origin below
-    the pose of your choice. Frames beyond either end are the first and last one.
+    start at the world's origin is displaced. To place a sequence correctly, use the offset with ``start`` at the origin
+    below the pose of your choice. Frames before the start and after the end are the first and the last frame.
     """
     frame = int(np.clip(frame, 0, len(clip.joints) - 1))
     root = np.array(clip.roots[frame], np.float64)

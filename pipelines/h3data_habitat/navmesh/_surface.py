@@ -28,7 +28,7 @@ ON_WALL_M = 1e-9
 ANGLE_EPS = 1e-9
 """Sine of the angle by which a corner may lie outside a cone of view and still be seen."""
 TAUT_EPS = 1e-9
-"""Cross products [m2] below this count as collinear."""
+"""Cross product [m2] below which points count as collinear."""
 
 
 class Surface(NamedTuple):
@@ -51,8 +51,8 @@ class Surface(NamedTuple):
     climb: NDArray[np.float64]
     """Largest vertical distance between a point and a polygon that it touches, shape [1] [m]."""
     bucket_first: NDArray[np.int32]
-    """First entry of each bucket, shape [bx, bz]: bucket (i, j) has the polygons ``bucket_polygon[bucket_first[i,
-    j]:bucket_first[i, j] + bucket_count[i, j]]``."""
+    """First entry of each bucket, shape [bx, bz]: bucket (i, j) has the polygons
+    ``bucket_polygon[bucket_first[i, j]:bucket_first[i, j] + bucket_count[i, j]]``."""
     bucket_count: NDArray[np.int32]
     bucket_polygon: NDArray[np.int32]
     bucket: NDArray[np.float64]
@@ -124,7 +124,7 @@ def _on_segment(x: float, z: float, ax: float, az: float, bx: float, bz: float) 
 
 @kernel(error_model="numpy")
 def _nearest_edge(corner: NDArray, first: int, last: int, x: float, z: float) -> tuple[float, float, float]:
-    """(square of the distance on the floor [m2], x, z) of the point nearest to (x, z) on a polygon's border."""
+    """Return (square of the distance on the floor [m2], x, z) of the point nearest to (x, z) on a polygon's border."""
     near, qx, qz = np.inf, x, z
     ax, az = corner[last - 1, 0], corner[last - 1, 2]
     for s in range(first, last):
@@ -146,7 +146,7 @@ def _outside(value: float, low: float, high: float) -> float:
 
 @kernel(error_model="numpy")
 def _box_square(box: NDArray, polygon: int, x: float, y: float, z: float) -> float:
-    """Square of the distance [m2] to the box of a polygon; infinity where that does not touch the box of `REACH_M`."""
+    """Return square of the distance [m2] to the box of a polygon; infinity if it is outside the box of `REACH_M`."""
     dx = _outside(x, box[polygon, 0], box[polygon, 3])
     dy = _outside(y, box[polygon, 1], box[polygon, 4])
     dz = _outside(z, box[polygon, 2], box[polygon, 5])

@@ -50,7 +50,7 @@ _HEADER = np.dtype(
 
 
 class _Cursor:
-    """Reads forward through bytes and never asks for more than there are."""
+    """Forward reader of bytes, which never requests more than there are."""
 
     def __init__(self, data: bytes, path: Path) -> None:
         self.data, self.path, self.offset = data, path, 0
@@ -204,7 +204,7 @@ def _finite(cursor: _Cursor, count: int, what: str) -> NDArray[np.float32]:
 def _read_polygons(
     cursor: _Cursor, polygons: NDArray, vertex_count: int, at: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Ragged corners (start [P + 1], vertex [S], neighbour [S]) of the polygons, every index checked."""
+    """Return the ragged corners (start [P + 1], vertex [S], neighbour [S]) of the polygons, every index checked."""
 
     def refuse(wrong: NDArray[np.bool_], what: str) -> None:
         if wrong.any():
@@ -244,7 +244,10 @@ def _read_details(
     triangles: NDArray[np.uint8],
     at: tuple[int, int],
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Ragged detail triangles (start [P + 1], corners [T, 3, 3]): an index below the corner count means a corner."""
+    """Return ragged detail triangles (start [P + 1], corners [T, 3, 3]).
+
+    An index below the number of corners means a corner.
+    """
     base, extra = details["vertex"].astype(np.int64), details["vertices"].astype(np.int64)
     first, count = details["triangle"].astype(np.int64), details["triangles"].astype(np.int64)
     beyond = (base + extra > len(detail_vertices)) | (first + count > len(triangles))
@@ -325,12 +328,15 @@ def navmesh_bytes(navmesh: NavMesh) -> bytes:
 
 
 def _tile_reference(polygon_count: int) -> int:
-    """Reference of tile 0, salt 1, where polygons take the lowest bits (Detour packs salt, tile, polygon from the top)."""
+    """Return the reference of tile 0, salt 1.
+
+    Polygons take the lowest bits, as Detour packs salt, tile and polygon from the top.
+    """
     return 1 << max(int(np.ceil(np.log2(max(polygon_count, 1)))), 0)
 
 
 def _detail_sections(navmesh: NavMesh) -> tuple[NDArray, NDArray[np.float32], NDArray[np.uint8]]:
-    """Detail meshes, their additional vertices [D, 3], and triangles [T, 4] (three indices and the border bits)."""
+    """Return detail meshes, their additional vertices [D, 3], and triangles [T, 4] (indices and border bits)."""
     details = np.zeros(len(navmesh.flags), _DETAIL)
     extra: list[tuple[float, ...]] = []
     rows = []

@@ -36,11 +36,11 @@ def plain_outline(area: MultiPolygon) -> MultiPolygon:
 def merged_polygons(points: NDArray[np.float64], triangles: NDArray[np.int32]) -> list[list[int]]:
     """Merge triangles into convex polygons of at most `CORNERS_MAX` corners, as lists of vertices.
 
-    Greedy, longest shared edge first: what Recast's ``mergePolyMeshPolys`` does.
+    The method is greedy, longest shared edge first, as in Recast's ``mergePolyMeshPolys``.
 
     Args:
         points: Vertices on the floor (x, z), shape [V, 2].
-        triangles: Shape [M, 3], all turning the same way.
+        triangles: Vertex indices of the triangles, shape [M, 3], all with the same orientation.
     """
     polygons: dict[int, list[int]] = dict(enumerate(triangles.tolist()))
     sides: dict[tuple[int, int], int] = {}  # directed edge -> its polygon

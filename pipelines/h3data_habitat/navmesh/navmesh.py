@@ -236,7 +236,8 @@ def navmesh_from_free_space(
     Args:
         free_space: The floor.
         merge: True writes few polygons of up to six corners, whose outlines are within 3 cm of the floor's, as
-            habitat-sim needs for large homes (`h3data_habitat.navmesh.merging`). Else exact triangles (constrained Delaunay).
+            habitat-sim needs for large homes (`h3data_habitat.navmesh.merging`). False writes exact triangles
+            (constrained Delaunay).
         settings: Settings to record; by default those of the floor's agent.
     """
     area = plain_outline(free_space.polygon) if merge else free_space.polygon
@@ -294,7 +295,7 @@ def _slopes_apart(polygon: Polygon, heights: NDArray[np.float64]) -> list[Polygo
 
 
 def _neighbours(start: NDArray[np.int32], corner: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Polygon across each edge, int32 [S], -1: none, of polygons by their vertices (`NavMesh.polygon_vertices`)."""
+    """Return the polygon across each edge, int32 [S], -1: none; polygons are given by `NavMesh.polygon_vertices`."""
     owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
     last = np.arange(len(corner)) == start[owner + 1] - 1
     following = corner[np.where(last, start[owner], np.arange(len(corner)) + 1)]
@@ -309,14 +310,14 @@ def _neighbours(start: NDArray[np.int32], corner: NDArray[np.int32]) -> NDArray[
 
 
 def _island_height(navmesh: NavMesh, island: int) -> float:
-    """Mean height of an island by area [m]."""
+    """Return the mean height of an island by area [m]."""
     t = navmesh.triangles(island=island).astype(np.float64)
     weight = np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1)
     return float(np.average(t[:, :, 1].mean(1), weights=weight))
 
 
 def _island_outline(navmesh: NavMesh, island: int) -> BaseGeometry:
-    """Floor area (x, z) of an island, walls without thickness cut out of it as slits of 0.6 mm."""
+    """Return the floor area (x, z) of an island, walls without thickness cut out of it as slits of 0.6 mm."""
     polygons, walls = [], []
     for p in navmesh.island_polygons(island):
         corners = navmesh.corners(p)[:, [0, 2]].astype(np.float64)
@@ -337,7 +338,7 @@ def _island_outline(navmesh: NavMesh, island: int) -> BaseGeometry:
 
 
 def _key(navmesh: NavMesh, island: int, all_islands: bool, cell_m: float) -> str:
-    """SHA-256 of everything that the free space of a navmesh is built from."""
+    """Return the SHA-256 of everything that the free space of a navmesh is built from."""
     digest = hashlib.sha256(f"navmesh 1 {navmesh.settings} {island} {all_islands} {cell_m}".encode())
     for array in (navmesh.vertices, navmesh.polygon_start, navmesh.polygon_vertices, navmesh.polygon_neighbours):
         digest.update(np.ascontiguousarray(array).tobytes())

@@ -1,7 +1,7 @@
 """Habitat's PathFinder, name for name, over a `FreeSpace` or a `NavMesh`: points (x, y, z) in, points out.
 
-Semantics are habitat-sim's (spec/habitat.md 1.3 and 6.7); paths are shortest where Habitat's are the taut string through
-the polygons that A* chose. What differs on purpose is listed in h3data docs navigation.
+Semantics are habitat-sim's (spec/habitat.md 1.3 and 6.7); paths are shortest where Habitat's are the taut string
+through the polygons that A* chose. Deliberate differences are listed in h3data docs navigation.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class PathFinder:
         return min((length for length, _ in found), default=np.inf)
 
     def _over_free_floor(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> float | None:
-        """The distance where both points project straight down or up to the `FreeSpace`, without looking for polygons."""
+        """Return the distance if both points project vertically to the `FreeSpace`, without a search for polygons."""
         assert self.free_space is not None
         y = self.free_space.floor_y
         if abs(a[1] - y) > REACH_M[1] or abs(b[1] - y) > REACH_M[1]:
@@ -126,7 +126,7 @@ class PathFinder:
         return length if length < np.inf else None
 
     def _paths(self, start: ArrayLike, ends: NDArray[np.float64]) -> list[tuple[float, NDArray[np.float64]]]:
-        """Length and waypoints to each end."""
+        """Return the length and waypoints to each end."""
         a = _point(start)
         if self.free_space is None:
             return [way(self._graph, a, end) for end in ends]
@@ -134,7 +134,7 @@ class PathFinder:
         return [self._flat_path(p, self._nearest(end)[1:]) for end in ends]
 
     def _flat_path(self, p: tuple[float, ...], q: tuple[float, ...]) -> tuple[float, NDArray[np.float64]]:
-        """Length and waypoints over the `FreeSpace` between points of its surface, NaN where there is none."""
+        """Return length and waypoints over the `FreeSpace` between points of its surface, NaN where there is none."""
         assert self.free_space is not None
         flat = self.free_space.path(p[::2], q[::2], max_snap_m=ENDS_TOUCH_M)
         points = np.stack([flat[:, 0], np.full(len(flat), self.free_space.floor_y), flat[:, 1]], axis=1)
@@ -154,7 +154,7 @@ class PathFinder:
     def get_random_navigable_point(
         self, rng: np.random.Generator, *, island_index: int = _ANY, n: int | None = None
     ) -> NDArray[np.float64]:
-        """Return a random point [3], uniform by area, or n of them [n, 3]; always draws 3 numbers per point."""
+        """Return a random point [3], uniform by area, or n points [n, 3]; each point consumes 3 random numbers."""
         triangles, summed = self._sampling(self._island(island_index))
         u = rng.random((1 if n is None else n, 3))
         # clipped, because rounding may put a number beyond the last sum
@@ -185,11 +185,14 @@ class PathFinder:
 
     # --- steps ----------------------------------------------------------------------------------------------------------
     def try_step(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Return where a step from start [3] to end [3] ends [3], sliding along walls; start if either is off the navmesh."""
+        """Return the end [3] of a step from start [3] towards end [3] that slides along walls.
+
+        The result is start if start or end is off the navmesh.
+        """
         return np.array(try_step(self._surface, *_point(start), *_point(end), True))
 
     def try_step_no_sliding(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Return where a step ends [3] that stops at the first wall."""
+        """Return the end [3] of a step from start [3] towards end [3] that stops at the first wall."""
         return np.array(try_step(self._surface, *_point(start), *_point(end), False))
 
     # --- walls ----------------------------------------------------------------------------------------------------------
@@ -253,7 +256,7 @@ class PathFinder:
         return float(np.linalg.norm(corners - corners.mean(0), axis=1).max())
 
     def get_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the lower and upper corner [3] of the baked volume, as the file says."""
+        """Return the lower and upper corner [3] of the baked volume, as stated in the file."""
         low, high = self.navmesh.bounds.astype(np.float64)
         return low, high
 

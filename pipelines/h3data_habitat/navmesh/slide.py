@@ -25,9 +25,9 @@ from h3data_habitat.navmesh.pathfinder import PathFinder
 def slide_as_habitat(surface, x, root_y, z, heading, goal, offsets, touch, rules):
     """Return one step of a robot base: ``(x, z, heading, touched)``.
 
-    ``goal`` is where it would get in the open, ``(x, z, heading)``; ``root_y`` [m] the height of its root; ``offsets`` [D]
-    the places of its discs along its x axis; ``rules`` says whether it slides, slides while it turns, and whether a disc's
-    own step slides.
+    ``goal`` is its pose ``(x, z, heading)`` after the step if nothing were in its path, ``root_y`` [m] the height of
+    its root, and ``offsets`` [D] the positions of its discs along its x axis. ``rules`` states whether the base slides,
+    whether it slides while it turns, and whether a disc's own step slides.
     """
     c, s = math.cos(heading), math.sin(heading)
     goal_c, goal_s = math.cos(goal[2]), math.sin(goal[2])
@@ -80,10 +80,10 @@ def slide_bases(
 
     Args:
         free: the free floor, of one level.
-        finder: its navmesh; by default one is made of ``free`` and cached.
+        finder: navmesh of the floor; by default it is made from ``free`` and cached.
         moved: positions [W, 2] (x, z) [m], headings [W] [rad], and whether each base touches something [W].
-        goals: where each base would get in the open, [W, 3] (x, z, heading).
-        drives: which bases are to move at all, [W].
+        goals: pose (x, z, heading) of each base after the step if nothing were in its path, [W, 3].
+        drives: True for bases that move, [W].
         offsets: places [D] of the discs along the x axis of the base [m].
         touch_m: a disc displaced by more than this has touched something [m].
         root_height_m: height of the base's root over the floor [m].

@@ -128,8 +128,8 @@ def initial_positions(
 ) -> tuple[NDArray[np.float64], list[str]]:
     """Return the joint positions [J] of an instance's ``initial_joint_pose``, and warnings.
 
-    A list is in the order of `joint_order`. An object names joints; if a name is none, its values are taken as a list in
-    the order of the names, which is what habitat-sim does in any case.
+    A list is in the order of `joint_order`. An object maps names of joints to values; if a name is not that of a joint,
+    the values are taken as a list in the order of the names, which is what habitat-sim does in any case.
     """
     positions, order = default_positions(robot), joint_order(robot, link_order)
     warnings: list[str] = []

@@ -229,9 +229,9 @@ class KeyNotes:
 
     def __init__(self) -> None:
         self.ignored: set[str] = set()
-        """``object_config.mass``: known, see `IGNORED`."""
+        """Known keys that are not read, such as ``object_config.mass`` (see `IGNORED`)."""
         self.unknown: set[str] = set()
-        """``object_config.colour``: neither read nor known."""
+        """Unknown keys, such as ``object_config.colour``."""
 
     def note(self, kind: ConfigKind, content: Mapping[str, Any]) -> None:
         """Collect the keys of a file that are ignored or unknown."""

@@ -140,7 +140,7 @@ def _enclosed(
 
 
 def _box(instances: Sequence[Instance], assets: Mapping[str, Asset], back: Array) -> NDArray[np.float64]:
-    """Bounds of what is seen of some instances in the frame of the thing, [2, 3]; at its origin if nothing is."""
+    """Return bounds of the visible part of instances in the frame of the thing, [2, 3]; at its origin if none is."""
     points = [
         transform_points(back @ instance_matrix(i), assets[i.asset].mesh.vertices.astype(np.float64))
         for i in instances

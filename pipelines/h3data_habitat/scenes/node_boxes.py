@@ -45,7 +45,7 @@ def node_box(
 
 
 def _node_box(file: GltfFile) -> NDArray[np.float64]:
-    """Box of the root, [2, 3], or [0, 3] if the file is empty."""
+    """Return the box of the root, [2, 3], or [0, 3] if the file is empty."""
     nothing = np.zeros((0, 3))
     if not file.nodes:
         return _box_around([_bounds(part) for part, _ in file.parts()])

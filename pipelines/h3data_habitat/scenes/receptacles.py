@@ -157,7 +157,7 @@ def largest_rectangle(
 
 
 def _largest_block(cells: NDArray[np.bool_]) -> tuple[int, int, int, int] | None:
-    """``i0 i1 j0 j1`` (ends exclusive) of the all-true block of a grid with the most cells, or None."""
+    """Return ``i0 i1 j0 j1`` (ends exclusive) of the largest all-true block of a grid, or None."""
     best, area = None, 0
     for i0 in range(len(cells)):
         run = np.ones(cells.shape[1], bool)

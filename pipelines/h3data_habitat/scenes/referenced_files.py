@@ -21,14 +21,14 @@ class ReferencedFiles:
     As in habitat-sim a path is tried as it stands (absolute, or relative to the working directory), then relative to
     the config that names it; after that below the user's asset folders (`AssetFolders`: with the known aliases of
     dataset folders, or H3DATA_ASSETS). A file must lie in the config's dataset, in a folder ``data`` around it, in the
-    working directory or in an asset folder: a dataset from elsewhere cannot make us open other files.
+    working directory or in an asset folder: a dataset from another source cannot cause other files to be opened.
     """
 
     def __init__(self, config: Path, assets: Sequence[str | Path] | None = None) -> None:
         self._folders = AssetFolders(assets)
         self._inside = (*trusted_folders(config), Path.cwd(), *(Path(os.path.abspath(r)) for r in self._folders.roots))
         self.missing: dict[str, tuple[Path, ...]] = {}
-        """Places at which each missing file was looked for."""
+        """Places at which each missing file was searched."""
 
     def find(self, name: str, folder: Path) -> Path | None:
         """Return the file that a config in ``folder`` refers to; None if it does not exist.
@@ -62,7 +62,8 @@ def trusted_folders(config: Path) -> tuple[Path, ...]:
     """Return the folder of the dataset to which a config belongs, and the nearest folder ``data`` around it, if there is one.
 
     The dataset's folder is the nearest one above with a ``*.scene_dataset_config.json``, else the one that holds the
-    config's folder (YCB: ``configs`` beside ``meshes``). Links are not followed: what is linked into a dataset is in it.
+    config's folder (YCB: ``configs`` beside ``meshes``). Links are not followed: files that are linked into a dataset
+    belong to it.
     """
     above = Path(os.path.abspath(config)).parents
     dataset = next((f for f in above[:_LEVELS] if any(f.glob("*" + DATASET_ENDING))), None)

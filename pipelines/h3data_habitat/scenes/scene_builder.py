@@ -20,7 +20,7 @@ from h3data_habitat.scenes.scene_dataset import SceneDataset, Section, Template
 from h3data_habitat.scenes.templates import TemplateReader
 
 REACH_MAX_M = 1e5
-"""Largest distance of things from the origin [m], at which float32 still resolves centimetres."""
+"""Largest distance of things from the origin [m]: 100 km, where float32 still resolves centimetres."""
 
 
 @dataclass
@@ -212,7 +212,7 @@ class SceneBuilder:
         )
 
     def _next_name(self, template: Template) -> str:
-        """Habitat's name of the next instance; one that is left out has its number all the same."""
+        """Return Habitat's name of the next instance; instances that are left out count as well."""
         count = self._counts[template.handle] = self._counts.get(template.handle, -1) + 1
         return f"{template.handle}_:{count:04d}"
 

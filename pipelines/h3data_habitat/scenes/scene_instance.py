@@ -198,7 +198,7 @@ def _add_stage(builder: SceneBuilder, dataset: SceneDataset, content: Mapping[st
 
 
 def _add_semantics(builder: SceneBuilder, dataset: SceneDataset, content: Mapping[str, Any], where: Path) -> None:
-    """Rooms, and the names of the classes that semantic ids stand for."""
+    """Add rooms, and the names of the classes that semantic ids stand for."""
     name = text(content, "semantic_scene_instance", where=where)
     if not name:
         return
@@ -241,7 +241,7 @@ def _add_navmesh(builder: SceneBuilder, dataset: SceneDataset, content: Mapping[
 
 
 def _use_filter(builder: SceneBuilder, dataset: SceneDataset, content: Mapping[str, Any], where: Path) -> None:
-    """The receptacles of the filter file that the scene names, relative to the dataset (spec/habitat.md 6.4)."""
+    """Use the receptacles of the filter file that the scene names, relative to the dataset (spec/habitat.md 6.4)."""
     name = text(mapping(content, "user_defined", where=where), "scene_filter_file", where=where)
     if not name:
         return

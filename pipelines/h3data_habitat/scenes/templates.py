@@ -154,7 +154,7 @@ class TemplateReader:
     def _shapes(
         self, template: Template, attributes: Mapping[str, Any], mesh: Mesh, frame: _Frame
     ) -> tuple[Shape, ...]:
-        """Convex parts of an object: of its collision asset, else of its looks."""
+        """Return the convex parts of an object: of its collision asset, else of its looks."""
         where = template.path
         asset = text(attributes, "collision_asset", where=where) or text(attributes, "render_asset", where=where) or ""
         if is_primitive(asset):

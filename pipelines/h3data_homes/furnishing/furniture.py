@@ -33,7 +33,7 @@ class Furniture:
 
     category: str
     builder: MeshBuilder
-    """Function that builds the visual mesh; `asset` calls it once the piece is placed."""
+    """Function that builds the visual mesh; only `asset` calls it, once the piece is placed."""
     shapes: tuple[Shape, ...]
     receptacles: tuple[Receptacle, ...]
     size: tuple[float, float, float]
@@ -73,7 +73,7 @@ class Furniture:
 
 
 def _upright_box(shape: Shape) -> BaseGeometry | None:
-    """Footprint of an axis-aligned box that obstructs walkers, the common case; None for other shapes."""
+    """Return the footprint of an axis-aligned box that obstructs walkers, the common case; None for other shapes."""
     if not isinstance(shape, Box) or shape.pose[6] != 1:
         return None
     import shapely

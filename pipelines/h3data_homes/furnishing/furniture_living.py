@@ -221,7 +221,7 @@ def plant(rng: np.random.Generator, style: Style) -> Furniture:
 def _leaf(
     mesh: MeshBuilder, base: tuple, around: float, lean: float, length: float, reach: float, color: tuple
 ) -> None:
-    """Adds a long leaf that rises and bends outwards by at most ``reach``, with two visible sides."""
+    """Add a long leaf that rises and bends outwards by at most ``reach``, with two visible sides."""
     s = np.linspace(0, 1, 5)
     out = np.minimum(length * np.sin(lean), reach) * s**1.6
     rise = np.sqrt(np.maximum(length**2 * s**2 - out**2, 0)) * (1 - 0.18 * lean * s**2)

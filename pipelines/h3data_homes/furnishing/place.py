@@ -33,7 +33,7 @@ _DOOR_DEPTH = 0.8
 _OPEN_DEPTH, _OPEN_FROM = 0.36, 2.6
 """Free floor on both sides of openings wider than this in homes of the second generation [m]."""
 _TALL = 0.88
-"""Taller furniture does not stand in front of windows [m]."""
+"""Height above which furniture does not stand in front of windows [m]."""
 _REACH = {"desk": 0.85, "dining_table": 0.65, "kitchen_island": 0.65, "kids_table": 0.6, "balcony_table": 0.65}
 """Greatest distance from walkable floor to furniture with chairs in between; 0.38 m for other furniture [m]."""
 _FROM_ANYWHERE = (
@@ -284,7 +284,7 @@ def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
 
 
 def _outline(p: Placed) -> BaseGeometry:
-    """Footprint of a piece's collision shapes on the floor."""
+    """Return the footprint of a piece's collision shapes on the floor."""
     import shapely
 
     heading = p.quarter * np.pi / 2 + p.yaw

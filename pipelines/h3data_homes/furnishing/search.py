@@ -68,7 +68,7 @@ def _positions(
     middle: bool,
     only_corner: bool,
 ) -> list[tuple[float, float]]:
-    """(cost, u) of promising positions of a group's origin along a wall; ``low`` and ``high`` are its ends relative to u."""
+    """Return (cost, u) of promising positions of a group's origin along a wall; its ends are ``low`` and ``high``."""
     a, b = side_span(state.interior, side)
     first, last = a - low + 0.02, b - high - 0.02
     if last < first:

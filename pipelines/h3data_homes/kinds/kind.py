@@ -71,7 +71,7 @@ def builder_of(
 
 
 def _collision(kind: Kind, scale: NDArray[np.float64], origin: NDArray[np.float64]) -> tuple[Shape, ...]:
-    """Collision parts in a frame with another origin."""
+    """Return the collision parts in a frame with another origin."""
     model = model_of(kind)
     if model.blocks:
         found = []

@@ -25,7 +25,7 @@ _LIFT, _APART = 0.001, 0.012
 """Height of things above what they lie on, so that no contact is reported, and least distance between them [m]."""
 _TRIES = 6
 _SINK_M = 0.3
-"""Surfaces of kitchen counters narrower than this lie beside a sink."""
+"""Width of surfaces of kitchen counters below which they count as next to a sink [m]."""
 _FLOOR_GAP = (0.03, 0.09)
 """Distance of things on the floor from the wall or furniture behind them [m]."""
 _SEAT_M = 0.62
@@ -100,7 +100,7 @@ def _size(asset: Asset) -> tuple[float, float, float]:
 
 
 def _turned_half(asset: Asset, heading: float) -> tuple[float, float]:
-    """Half extents along x and z of a thing's footprint turned by a heading."""
+    """Return half the extents along x and z of a thing's footprint turned by a heading."""
     w, _, d = _size(asset)
     c, s = abs(np.cos(heading)), abs(np.sin(heading))
     return (c * w + s * d) / 2, (s * w + c * d) / 2
@@ -132,7 +132,7 @@ def _scatter(things: _Things, habit: Habit, count: int, board: _Board, frame: np
 
 
 def _stack(things: _Things, habit: Habit, count: int, board: _Board, frame: np.ndarray) -> None:
-    """Things on top of each other, the lower ones at least as large."""
+    """Put things on top of each other, the lower ones at least as large."""
     rng = things.rng
     pile = sorted((things.sample(str(rng.choice(habit.kinds))) for _ in range(count)), key=lambda a: -_size(a)[0])
     if not pile:
@@ -159,7 +159,7 @@ def _stack(things: _Things, habit: Habit, count: int, board: _Board, frame: np.n
 
 
 def _row(things: _Things, habit: Habit, count: int, board: _Board, frame: np.ndarray) -> None:
-    """Things side by side along the back, from one end."""
+    """Put things side by side along the back, from one end."""
     sign = float(things.rng.choice([-1.0, 1.0]))
     at = -board.half[0]
     for _ in range(count):
@@ -175,7 +175,7 @@ def _row(things: _Things, habit: Habit, count: int, board: _Board, frame: np.nda
 
 
 def _settings(things: _Things, habit: Habit, count: int, board: _Board, frame: np.ndarray) -> None:
-    """Plate, fork, knife and glass at places along the two long sides."""
+    """Put plate, fork, knife and glass at places along the two long sides."""
     del habit
     plate, fork, knife, glass = (things.sample(k) for k in ("plate", "fork", "table_knife", "tumbler"))
     per_side = max(1, int(2 * board.half[0] / _SEAT_M))
@@ -193,7 +193,7 @@ def _settings(things: _Things, habit: Habit, count: int, board: _Board, frame: n
 
 
 def _pair(things: _Things, habit: Habit, count: int, board: _Board, frame: np.ndarray) -> None:
-    """Two of one kind beside each other."""
+    """Put two things of one kind beside each other."""
     rng = things.rng
     for _ in range(count):
         asset = things.sample(str(rng.choice(habit.kinds)))
@@ -265,7 +265,7 @@ def leave_about(
 
 
 def _on_floor(things: _Things, habit: Habit, count: int, state: RoomState, taken: list[Rect]) -> None:
-    """Things close to the walls of a room, clear of the rectangles ``taken``, to which theirs are added."""
+    """Put things close to the walls of a room, clear of the rectangles ``taken``, to which their own are added."""
     rng, (x0, z0, x1, z1) = things.rng, state.interior
     for _ in range(count):
         asset = things.sample(str(rng.choice(habit.kinds)))

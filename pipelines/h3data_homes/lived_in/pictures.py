@@ -29,12 +29,12 @@ class _Sheet:
         self.poly([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], color)
 
     def poly(self, corners: list[tuple[float, float]], color: Color) -> None:
-        """A convex quadrilateral, counter-clockwise."""
+        """Add a convex quadrilateral, counter-clockwise."""
         z = self._next()
         self.mesh.quads([[(x * self.a, y * self.b, z) for x, y in corners]], color)
 
     def disc(self, x: float, y: float, r: float, color: Color, *, n: int = 20) -> None:
-        """A disc whose radius is a share of the smaller half size."""
+        """Add a disc whose radius is a share of the smaller half size."""
         r *= min(self.a, self.b)
         at = (x * self.a, y * self.b, self._next())
         self.mesh.cylinder(at, r, 0.0004, color, segments=n, turn=turn_x(np.pi / 2))

@@ -136,7 +136,7 @@ _FROM_M2 = 5.5
 _MOST_EXTRAS, _LARGE_EXTRAS = 4, 7
 _WALL_TRIES = 5
 _REACH_OVER_M = 0.55
-"""Deeper furniture has no shelf above it."""
+"""Depth of furniture above which it has no shelf above it [m]."""
 
 
 def model(name: str, rng: np.random.Generator, style: Style) -> Furniture:
@@ -176,7 +176,7 @@ def _above_deep(state: RoomState, side: int, u: float, half: float) -> bool:
 
 # --- new kinds of rooms -----------------------------------------------------------------------------------------------
 def _furnish_child(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """A bed or a bunk bed, a wardrobe, a small table with chairs, a carpet."""
+    """Furnish a child's room: a bed or a bunk bed, a wardrobe, a small table with chairs, a carpet."""
     del dining
     bunk = rng.random() < 0.4 and state.room.area > 10
     group = None
@@ -211,7 +211,7 @@ def _desk(rng: np.random.Generator, style: Style, state: RoomState) -> object:
 
 
 def _furnish_office(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """A desk with an office chair, shelves, an armchair."""
+    """Furnish an office: a desk with an office chair, shelves, an armchair."""
     del dining
     if not _desk(rng, style, state):
         desk = place_single(rng, state, sleeping.desk(rng, style), corner=True)
@@ -226,7 +226,7 @@ def _furnish_office(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def _furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Washer and dryer in a row with a sink, shelves."""
+    """Furnish a laundry: washer and dryer in a row with a sink, shelves."""
     del dining
     machine, dryer = bath.washer(rng, style), model("dryer", rng, style)
     sink = kitchen.counter(rng, style, kitchen.SINK_WIDTH, "sink")
@@ -237,7 +237,7 @@ def _furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, d
 
 
 def _furnish_garage(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """A workbench, racks, a bicycle."""
+    """Furnish a garage: a workbench, racks, a bicycle."""
     del dining
     place_single(rng, state, model("workbench", rng, style), middle=True)
     rack = model("storage_rack", rng, style)
@@ -247,7 +247,7 @@ def _furnish_garage(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def _furnish_balcony(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """A table with two folding chairs, or a deck chair."""
+    """Furnish a balcony: a table with two folding chairs, or a deck chair."""
     del dining
     table, seat = model("balcony_table", rng, style), model("folding_chair", rng, style)
     x = table.size[0] / 2 + seat.size[2] / 2 + 0.02

@@ -61,7 +61,7 @@ _UprightBox = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64
 
 
 def _boxes(placed: Placed) -> Iterator[_UprightBox]:
-    """The upright boxes among the collision shapes of a piece, in the world."""
+    """Yield the upright boxes among the collision shapes of a piece, in the world."""
     heading = placed.quarter * np.pi / 2 + placed.yaw
     c, s = np.cos(heading), np.sin(heading)
     turn = np.array([[c, -s], [s, c]])

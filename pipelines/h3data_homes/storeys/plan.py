@@ -38,7 +38,7 @@ LANDING_M = 1.35
 PASSAGE_M = 1.0
 """Width of the doorways to the stairwell [m]."""
 _STRETCH_M = 1.24
-"""Least length of a wall for such a doorway [m]."""
+"""Least length of a wall for a doorway to a stairwell [m]."""
 _UPSTAIRS: Mapping[str, str] = {"living": "den", "kitchen": "library", "garage": "office"}
 """Kinds of rooms upstairs in the places of some kinds of rooms of a plan."""
 _DARK_ROOM, _THROUGH_ROOM = 10.0, 1.5
@@ -122,7 +122,7 @@ def _joined(
 
 
 def _with_passage(layout: Layout, door: tuple[str, float], line: float, covered: tuple[float, float]) -> Layout:
-    """The plan with a doorway to the stairwell in its wall at x = ``line``, without windows that the stairwell covers."""
+    """Return a plan with a doorway to the stairwell in the wall at x = ``line``, without windows behind it."""
     room, middle = door
     kept = [
         o
@@ -180,7 +180,7 @@ def _turned_to_well(layout: Layout, *, high: bool) -> tuple[Layout, tuple[str, f
 
 
 def _doors(layout: Layout, line: float) -> list[tuple[float, tuple[str, float]]]:
-    """Doorways that the wall at x = ``line`` has room for, each with its penalty."""
+    """Return the doorways that the wall at x = ``line`` has room for, each with its penalty."""
     on_wall = [o for o in layout.openings if _is_on(o, line)]
     if any(o.kind != "window" for o in on_wall):  # a front door, a garage or a balcony would be walled up
         return []
@@ -197,7 +197,7 @@ def _doors(layout: Layout, line: float) -> list[tuple[float, tuple[str, float]]]
 
 
 def _places(room: RoomPlan, rooms: Sequence[RoomPlan], line: float) -> list[float]:
-    """Middles of doorways in a room's outer wall at x = ``line``: at an end of a long wall, which leaves room for furniture."""
+    """Return middles of doorways in a room's outer wall at x = ``line``, at an end of a long wall to leave room."""
     places = []
     for wall in outer_walls(room, rooms):
         if wall.axis == 1 and abs(wall.line - line) < 1e-9 and wall.high - wall.low >= _STRETCH_M:

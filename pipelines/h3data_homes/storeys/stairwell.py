@@ -24,7 +24,7 @@ from h3data_homes.zoning import Rect
 TOP_M = STOREY_M + WALL_HEIGHT
 """Height of the stairwell's ceiling above the ground floor [m]."""
 _LINING_M = 0.004
-"""The paint inside lies so far before the walls, whose other side is a facade."""
+"""Distance of the inner paint before the walls, whose other side is a facade [m]."""
 _SLAB_M, _NOSE_M, _SUNK_M = 0.04, 0.02, 0.02
 """Thickness of a tread, how far it stands out over its riser, and how far below it its collision box ends."""
 _RAIL_M, _RAIL_GAP_M, _RAIL_SIZE = 0.90, 0.05, (0.045, 0.05)
@@ -83,7 +83,7 @@ def _landings(well: Well, style: Style, rng: np.random.Generator) -> Mesh:
 
 
 def _stairs(well: Well, style: Style) -> Asset:
-    """Closed steps with treads as the boards of the floor; the last one is the edge of the upper landing."""
+    """Return the closed steps with treads as the boards of the floor; the last one is the edge of the upper landing."""
     x0, z0, x1, z1 = well.rect
     mesh, shapes, sign = MeshBuilder(), list[Shape](), _sign(well)
     end = z1 if sign > 0 else z0
@@ -103,13 +103,13 @@ def _stairs(well: Well, style: Style) -> Asset:
 
 
 def _slanted(mesh: MeshBuilder, well: Well, x: float, size: tuple[float, float], above_m: float, style: Style) -> None:
-    """A skirting board along the noses, its middle ``above_m`` over them."""
+    """Add a skirting board along the noses, its middle ``above_m`` over them."""
     center, length, angle = _incline(well, above_m)
     mesh.box((x, center[0], center[1]), (size[0], size[1], length), style.trim, turn=turn_x(angle))
 
 
 def _incline(well: Well, above_m: float) -> tuple[tuple[float, float], float, float]:
-    """Middle (y, z), length and angle about x of a bar along the noses of all steps, ``above_m`` over them."""
+    """Return middle (y, z), length and angle about x of a bar along the noses of all steps, ``above_m`` over them."""
     first, last = riser(well, 0), riser(well, RISERS - 1)
     rise, run = RISE_M * (RISERS - 1), abs(last - first)
     angle = -_sign(well) * float(np.arctan2(rise, run))
@@ -142,7 +142,7 @@ def _handrails(well: Well, style: Style) -> Asset:
 
 # --- walls ------------------------------------------------------------------------------------------------------------
 def _walls(plan: StoreyPlan, style: Style) -> Asset:
-    """Walls around the stairwell as far as the storeys have none, and paint inside all of them."""
+    """Return the walls around the stairwell as far as the storeys have none, and paint inside all of them."""
     well, t = plan.well, WALL_THICKNESS
     x0, z0, x1, z1 = well.rect
     mesh, shapes = MeshBuilder(), list[Shape]()
@@ -204,7 +204,7 @@ def _paint(mesh: MeshBuilder, well: Well, style: Style) -> None:
 
 
 def _end_walls(well: Well) -> list[tuple[float, tuple[tuple[float, float, float], ...]]]:
-    """(z of the inner face, windows) of the walls at both ends: the lower landing's has two windows, one above the other."""
+    """Return (z of the inner face, windows) of the walls at both ends; at the lower landing there are two windows."""
     _, z0, _, z1 = well.rect
     low, high = (z0, z1) if _sign(well) > 0 else (z1, z0)
     return [(low, _WINDOWS), (high, _WINDOWS[1:])]

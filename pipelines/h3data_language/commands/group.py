@@ -125,8 +125,8 @@ class LanguageAttach:
     """Give imported sessions of PARTNR's tool the propositions of their episodes, so that h3data metrics evaluates them.
 
     A session names its episode, and the file of episodes has the rest; scenes and objects are searched for as for
-    h3data generate --episodes-file. The recordings are written anew, with the profile `partnr`. A session without an
-    episode in the file, or in a scene that is not there, is listed with the reason.
+    h3data generate --episodes-file. The recordings are written again, with the profile `partnr`. A session without an
+    episode in the file, or with a missing scene, is listed with the reason.
 
     Examples:
         h3data import hitl_data/ -o rec/

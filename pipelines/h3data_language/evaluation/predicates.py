@@ -105,6 +105,8 @@ class Rows:
 def pairs_of(p: Proposition, rows: Rows) -> Flags:
     """Return which things of the first list are at things of the second list by a proposition, bool [T, A, B].
 
+    B is 1 if there is no second list.
+
     Raises:
         InputError: a thing, a piece of furniture or a room does not exist.
     """

@@ -64,7 +64,7 @@ def scene_map(
 
 # --- parts of the plan ------------------------------------------------------------------------------------------------
 def _pixels(camera: Camera, points: ArrayLike) -> NDArray[np.int32]:
-    """OpenCV pixels [N, 2] of world points [N, 3]."""
+    """Return the OpenCV pixels [N, 2] of world points [N, 3]."""
     xy, _ = camera.project(np.asarray(points, np.float64))
     return np.rint(xy - 0.5).astype(np.int32)
 

@@ -95,7 +95,7 @@ def _load_without_missing(source: SceneSource) -> tuple[Scene, str]:
 def validate_scene(
     named: NamedScene, *, radius_m: float = AGENT_RADIUS_M, picture: Path | None = None
 ) -> dict[str, Any]:
-    """Find the problems of a scene, as JSON data; with ``picture``, also marks them on a floor plan (PNG)."""
+    """Find the problems of a scene, as JSON data; with ``picture``, also mark them on a floor plan (PNG)."""
     from h3data.render import write_png
     from h3data_pipelines.assets.scene_plan import scene_map
     from h3data_pipelines.validation.scenes import Problem, find_problems, free_space_for_validation
@@ -140,7 +140,7 @@ def _same_object(first: str, second: str) -> bool:
 
 
 def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
-    """Overlapping objects, and the number of further pairs that may overlap only because one is a filled hull."""
+    """Return overlapping objects, and the number of further pairs that may overlap only by a filled hull."""
     from h3data_pipelines.validation.overlaps import overlapping_instances
     from h3data_pipelines.validation.scenes import Problem, hull_fills_hollows
 

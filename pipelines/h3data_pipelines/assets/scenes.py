@@ -453,7 +453,7 @@ def _row(named: NamedScene) -> dict[str, Any]:
 
 
 def _free(named: NamedScene) -> FreeSpace | None:
-    """Free space of the default agent; None if there is none, as in a file that holds a single chair."""
+    """Return the free space of the default agent; None if there is none, as in a file that holds a single chair."""
     open_scene(named.source)  # outside the try: errors of the scene itself must reach the user
     try:
         return open_free_space(named.source, AGENT_RADIUS_M, AGENT_HEIGHT_M)

@@ -54,7 +54,7 @@ def turntable(robot: Robot, *, views: int = 6, width: int = 1600, reaching: bool
 
 
 def _circle(robot: Robot, count: int) -> Array:
-    """Hand positions [count, 3] in the agent root frame, on a vertical circle that faces forward."""
+    """Return the hand positions [count, 3] in the agent root frame, on a vertical circle that faces forward."""
     rest = robot.link_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), robot.rest[None])[0, robot.hand_link]
     middle = rest[:3, :3] @ robot.hand_position + rest[:3, 3] + [AHEAD_M, 0, 0]
     angle = np.arange(count) * 2 * np.pi / count

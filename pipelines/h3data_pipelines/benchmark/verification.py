@@ -208,7 +208,7 @@ def _stored_rows(folder: Path, benchmark: Benchmark) -> tuple[dict[int, list[dic
 
 
 def _checked_row(row: Any) -> dict[str, Any]:
-    """Result of a policy in an episode, as a file gives it; a ValueError, KeyError or TypeError if it is none."""
+    """Return result of a policy in an episode from a file; raise a ValueError, KeyError or TypeError if it is none."""
     if not isinstance(row.get("partner"), str | None):
         raise TypeError(f"a partner that is no name: {row['partner']!r}")
     return {**row, "policy": str(row["policy"]), "values": dict(row["values"])}

@@ -163,7 +163,7 @@ class Convert:
         return {**row, "status": "converted", "steps": len(recording)}
 
     def _shared_in(self, target: AnyPath) -> Path | None:
-        """Folder whose recordings share their scenes, if they do."""
+        """Return the folder whose recordings share their scenes, if they do."""
         folder = target.parent if target == self._out else self._out
         if self.share_scenes and not isinstance(folder, Path):
             raise InputError(f"--share-scenes needs a local output folder, got: {self._out}", code="H3-OPTION-025")
@@ -274,14 +274,14 @@ def _require_equal(recording: Recording, stored: Recording, path: AnyPath) -> No
 
 
 def _readable(sources: list[StoredEpisode]) -> Iterator[Recording]:
-    """Every readable episode, to fix the columns of a dataset; `Convert._add` reports the others."""
+    """Yield every readable episode, to fix the columns of a dataset; `Convert._add` reports the others."""
     for source in progress(sources, desc="read", unit="episode"):
         with suppress(H3DataError):
             yield source.read()
 
 
 def _steps_per_second(sources: list[StoredEpisode]) -> int:
-    """Rate of the first readable episode; raise an `InputError` if there is none."""
+    """Return the rate of the first readable episode; raise an `InputError` if there is none."""
     errors = []
     for source in sources:
         try:

@@ -175,7 +175,7 @@ class _Videos:
     def __init__(self, replay: Replay, out: Path) -> None:
         self.replay, self.out = replay, out
         self.written: Future[None] = Future()
-        """Done when all videos are."""
+        """Event that is set when all videos are written."""
         self._steps = range(0, len(replay), FRAME_EVERY)
         # one bar for all of them, later (`show_progress`)
         self._bar = progress(total=len(VIDEOS) * len(self._steps), desc="render", unit="frame", delay=math.inf)
@@ -224,7 +224,7 @@ class _Videos:
 
 
 def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None:
-    """The frame in the middle of the episode."""
+    """Write the frame in the middle of the episode."""
     from h3data.render import write_png
 
     stage, middle = replay.stage, len(replay) // 2
@@ -233,7 +233,7 @@ def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None
 
 
 def _write_beside(recording: Recording, videos: _Videos, out: Path) -> None:
-    """The dataset and the file for Rerun, which waits for the videos."""
+    """Write the dataset and the file for Rerun, which waits for the videos."""
     from h3data.recording import DatasetWriter
 
     with DatasetWriter(out / "dataset") as writer:

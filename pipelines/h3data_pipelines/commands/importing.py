@@ -145,7 +145,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
 
 
 def _why(row: dict[str, Any]) -> str:
-    """Reason why a file was not imported, short enough for a table."""
+    """Return the reason why a file was not imported, short enough for a table."""
     reason = row.get("reason", "").partition(" Hint:")[0]
     return reason.replace(row["source"], "").strip(" :")[:100]
 

@@ -61,7 +61,7 @@ class Info:
 
 
 def _described(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
-    """Text and JSON values for a dataset, or for each recording at or below a path."""
+    """Return the text and JSON values for a dataset, or for each recording at or below a path."""
     from h3data.recording import Dataset
     from h3data.recording.parquet.files import is_dataset
 
@@ -118,7 +118,7 @@ def _of_episode_file(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _outcome(recording: Recording) -> list[str]:
-    """Lines about how the episode and its skills ended, as far as they are recorded."""
+    """Return the lines about how the episode and its skills ended, as far as they are recorded."""
     ended, skills = recording.episode.info.get("ended"), Counter(span.outcome for span in recording.skills)
     told = recording.episode.info.get("instruction")
     lines = [f"  told     {told}"] if told else []
@@ -151,7 +151,7 @@ def _moved_joints(recording: Recording) -> list[str] | None:
 
 
 def _walks(recording: Recording) -> list[str]:
-    """Lines about motion files that people walk by."""
+    """Return the lines about motion files that people walk by."""
     motions = recording.episode.info.get("motions")
     facts = motions.items() if isinstance(motions, dict) else ()
     known = [(file, fact) for file, fact in facts if isinstance(fact, dict)]
@@ -159,7 +159,7 @@ def _walks(recording: Recording) -> list[str]:
 
 
 def _players(recording: Recording) -> list[str]:
-    """Lines about people who played live: messages, round trips, steps that were not played in time."""
+    """Return the lines about people who played live: messages, round trips, steps that were not played in time."""
     from h3data.recording.live_input import live_inputs, remark_lines, slipped_steps
 
     lines = []

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from h3data.recording import Dataset
 
 _ROWS = 40
-"""Number of rows shown as text at most: the first ones, and the last of the first 10,000."""
+"""Largest number of rows shown as text: the first ones, and the last of the first 10,000."""
 _RECORDS = ("events", "skills", "agents", "bodies", "inputs")
 _TEXT, _WHOLE, _REAL = pa.string(), pa.int64(), pa.float64()
 _EPISODES = pa.schema(
@@ -198,7 +198,7 @@ _WHERE = (
 
 # --- the views --------------------------------------------------------------------------------------------------------
 def _step_columns(dataset: Dataset) -> list[str]:
-    """SQL for all stored columns, as lists without a fixed length (it differs between datasets), and for short names."""
+    """Return SQL for all stored columns, as lists without a fixed length (it varies), and for short names."""
     from h3data.recording.parquet.tables import table_schema
 
     schema = table_schema(dataset)
@@ -242,7 +242,7 @@ _SQL_TYPES = {
 
 
 def _unsigned(value: str) -> str:
-    """SQL that reads the 64 bits of an integer as UBIGINT."""
+    """Return SQL that reads the 64 bits of an integer as UBIGINT."""
     return f"({value}::HUGEINT & {2**64 - 1})::UBIGINT"
 
 
@@ -363,7 +363,7 @@ def committed_shards(dataset: DatasetFolder, *, with_steps: bool = False) -> lis
 
 
 def _without_halves(kind: pa.DataType) -> pa.DataType:
-    """float32 in place of float16, because DuckDB refuses any table with a float16 column."""
+    """Return float32 in place of float16, because DuckDB refuses any table with a float16 column."""
     if pa.types.is_fixed_size_list(kind):
         return pa.list_(_without_halves(kind.value_type), kind.list_size)
     return pa.float32() if kind == pa.float16() else kind

@@ -30,7 +30,7 @@ NODE_TRIES = 20
 _AHEAD = 4
 """Number of results that may wait for an earlier one, per worker."""
 _SLOW = 3.0
-"""A straggler takes this many times as long as the median of the shards before it."""
+"""Multiple of the median time of earlier shards above which a shard counts as a straggler."""
 _SLOW_S = 30.0
 """Least time after which a shard counts as a straggler: workers take seconds to start."""
 _DIAL_S = 5.0
@@ -108,7 +108,7 @@ def _connect(ray: Any, address: str, workers: int) -> None:
 
 
 def _dial(where: str) -> None:
-    """Fail fast where nobody listens: Ray itself tries for half a minute."""
+    """Fail fast if no cluster listens, because Ray itself tries for half a minute."""
     host, _, port = where.removeprefix("ray://").rpartition(":")
     if not host or not port.isdigit():
         raise InputError(
@@ -119,7 +119,7 @@ def _dial(where: str) -> None:
 
 @contextmanager
 def _signals_kept() -> Iterator[None]:
-    """Ray handles SIGTERM for itself; here it means what it meant before: stop, keep what is finished."""
+    """Keep the former meaning of SIGTERM, which Ray handles for itself: stop, and keep what is finished."""
     numbers = (signal.SIGTERM, signal.SIGINT)
     before = {number: signal.getsignal(number) for number in numbers}
     try:
@@ -163,7 +163,7 @@ class RayWorkers:
 @dataclass
 class _Attempt:
     index: int
-    """Which shard."""
+    """Index of the shard."""
     since: float
 
 
@@ -268,7 +268,7 @@ class _UnderWay:
                 del self.attempts[reference]
 
     def _lost(self, index: int, error: Exception) -> None:
-        """A worker died with a shard, or its result with a node."""
+        """Handle the loss of a worker that died with a shard, or of its result with a node."""
         if index in self.done or any(attempt.index == index for attempt in self.attempts.values()):
             return
         name = type(error).__name__

@@ -251,7 +251,7 @@ def _loading(repo: str, dataset: Dataset) -> list[str]:
 
 
 def _agents(dataset: Dataset, kind: str) -> Counter[str]:
-    """Models of the agents of a kind, with the number of episodes of each."""
+    """Return the models of the agents of a kind, with the number of episodes of each."""
     counts: Counter[str] = Counter()
     for shard in dict.fromkeys(map(dataset.shard_of, dataset.rows)):
         table = dataset.sidecar("agents", shard)

@@ -35,7 +35,7 @@ def to_json(checksums: Mapping[str, str]) -> bytes:
 
 
 def require_checksums(root: Path) -> int:
-    """Compare the files of a copy with its checksums and return the number of checksums.
+    """Compare the files of a copy with its checksums and return the number of checksums, 0 if there are none.
 
     Raises:
         FormatError: files are missing or damaged; the message names them.

@@ -130,7 +130,7 @@ class Push:
 
 
 def _uploaded(api: Any, repo: str, root: Path, names: Sequence[str], checksums: bytes) -> list[Any]:
-    """Operations of a commit whose large files are on the server already.
+    """Return the operations of a commit whose large files are on the server already.
 
     `HfApi.upload_folder` would do as much in one call, and `upload_large_folder` in many commits, of which an interruption
     leaves some: a dataset without its last shards looks whole to LeRobot.
@@ -147,7 +147,7 @@ def _uploaded(api: Any, repo: str, root: Path, names: Sequence[str], checksums: 
 
 
 def _deletions(api: Any, repo: str, names: set[str]) -> list[Any]:
-    """Operations that delete files of an earlier version: LeRobot reads every data file that is there."""
+    """Return the operations that delete files of an earlier version, as LeRobot reads every data file that exists."""
     from huggingface_hub import CommitOperationDelete
 
     present = api.list_repo_files(repo, repo_type=TYPE)

@@ -185,13 +185,13 @@ def _read(path: AnyPath) -> bytes | None:
 
 
 def _belongs(name: str) -> bool:
-    """Return whether a file is part of a dataset: not what a writer has not finished, and not the writer's mark."""
+    """Return whether a file is part of a dataset; unfinished files of a writer and the writer's mark are not."""
     parts = PurePosixPath(name).parts
     return name != _WRITER and not name.endswith(".part") and not any(part.startswith(".") for part in parts)
 
 
 def _rank(name: str) -> int:
-    """When a file is copied: data, the tables that commit episodes, what counts them, info.json."""
+    """Return the order of copying a file: data, tables that commit episodes, their counts, info.json."""
     if name == _INFO:
         return 3
     if name.startswith("meta/episodes/"):

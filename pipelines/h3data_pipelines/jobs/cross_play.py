@@ -171,7 +171,7 @@ def _shown(metric: Metric, cell: Summary | None) -> str:
 
 
 def _paper_text() -> str:
-    """Published rows: learned robots with their training partner or population, and with the zero-shot one."""
+    """Return published rows: learned robots with their training partner or population, and with the zero-shot one."""
     paper = published_results().rearrange
     lines = [["Habitat 3.0, as published", *(f"{p} {m.name}" for p in ("train", "ZSC") for m in METRICS)]]
     for row in paper.rows:

@@ -178,7 +178,7 @@ def file_jobs(
 
 
 def _digest(path: Path, read: EpisodeSet) -> str:
-    """SHA-256 (hex) of the file; of a set that is split by scene also of its episodes."""
+    """Return the SHA-256 (hex) of the file, and of its episodes if the set is split by scene."""
     from h3data.recording.task_episodes.episode_files import episode_files
 
     encode, digest = episode_files().encode, hashlib.sha256(path.read_bytes())
@@ -188,7 +188,7 @@ def _digest(path: Path, read: EpisodeSet) -> str:
 
 
 def _not_of_task(entry: FileEntry, task: Task, path: Path) -> str:
-    """Reason why an entry of an episode file is none of a task."""
+    """Return the reason why an entry of an episode file is none of a task."""
     from h3data.recording.task_episodes.stored_episodes import task_of
 
     of = task_of(entry)
@@ -203,7 +203,7 @@ def _not_of_task(entry: FileEntry, task: Task, path: Path) -> str:
 
 
 def _ranges(numbers: Sequence[int]) -> str:
-    """``0-3, 7`` for 0, 1, 2, 3, 7."""
+    """Return integers as ranges, such as ``0-3, 7`` for 0, 1, 2, 3, 7."""
     parts: list[list[int]] = []
     for number in numbers:
         if parts and number == parts[-1][-1] + 1:

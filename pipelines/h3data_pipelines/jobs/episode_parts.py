@@ -24,7 +24,7 @@ class EpisodePart:
     """Name of the job to which the part belongs; within a job, each process searches the paths once."""
 
     def sources(self) -> Sequence[StoredEpisode]:
-        """Sources of the episodes of this part."""
+        """Return the sources of the episodes of this part."""
         found = _found(self.paths, self.job)
         return [found[index] for index in self.indices]
 

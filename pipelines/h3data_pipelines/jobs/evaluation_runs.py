@@ -269,7 +269,7 @@ def evaluate_task(
 
 
 def _asked(request: EvaluationRequest, job: Evaluation) -> dict[str, Any]:
-    """Everything that decides the table: the task, the rules, who plays, and the digest of the set of scenes."""
+    """Return everything that decides the table: task, rules, policies, and the digest of the set of scenes."""
     asked = job.to_json()
     own = {"index", "seed", "scene", "source", "human", "drawn_with"}
     rules = {name: value for name, value in asked.pop("episode").items() if name not in own}

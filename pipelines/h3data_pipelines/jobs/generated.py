@@ -42,7 +42,7 @@ class WrittenDataset:
         self.dataset, self.mcap, self.share_in = dataset, mcap, share_in
         self.hashes: list[str] = []
         self.failed: list[str] = []
-        """Episodes that raised: their number, seed and error."""
+        """Episodes that raised an error, with number, seed and error."""
         self.steps = 0
 
     def __len__(self) -> int:

@@ -153,7 +153,7 @@ def summarize(recording: Recording, library: AssetLibrary) -> dict[str, Any]:
 
 
 class _Importer:
-    """Imports one file after the other."""
+    """Importer of one file after the other."""
 
     def __init__(
         self,

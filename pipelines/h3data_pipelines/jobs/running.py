@@ -82,7 +82,7 @@ class RenderedVideo:
 
 
 def film_job(job: Job, filming: VideoJob) -> RenderedVideo:
-    """Return the recording of a job's episode and its videos; a failed episode has no videos.
+    """Return the recording of a job's episode (see `simulate_job`) and its videos; a failed episode has no videos.
 
     Raises:
         InputError: the episode has no such camera.

@@ -88,7 +88,7 @@ class RobotAgent:
         self._pose()
 
     def _pose(self) -> None:
-        """The root poses [W, 7], frames of the links [W, L, 4, 4]."""
+        """Compute the root poses [W, 7] and the frames of the links [W, L, 4, 4]."""
         self.base = root_pose(self.body, self.own.xz, self.own.heading, self.free)
         self.frames = self.body.link_matrices(self.base, self.own.joints)
 
@@ -145,7 +145,7 @@ class HumanAgent:
             grip_objects(state, palms, values[:, 1], ArmSpec(), agent=self.number)
 
     def _way_points(self, goals: Array) -> Array:
-        """Next waypoints [W, 2]; whoever has arrived sets out for their goal of ``goals`` [W, 2]."""
+        """Return the next waypoints [W, 2]; agents that have arrived start towards their goal of ``goals`` [W, 2]."""
         here, points = self.own.xz, self.own.xz.copy()
         for w, goal in enumerate(goals):
             path = self._paths[w]
@@ -159,7 +159,7 @@ class HumanAgent:
         return points
 
     def _pose(self, action: Action) -> None:
-        """The root poses [W, 7], frames of the joints [W, 55, 4, 4]."""
+        """Compute the root poses [W, 7] and the frames of the joints [W, 55, 4, 4]."""
         own, human = self.own, self.body
         self.base = self.free.root_pose(own.xz, own.heading)
         if action == "nav":

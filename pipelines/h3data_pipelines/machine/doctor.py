@@ -167,7 +167,7 @@ def _kernels() -> str:
 
 
 def _browser() -> str:
-    """Browsers on this machine; people may also play from any other one."""
+    """Return the browsers on this machine; people may also play from any other one."""
     found = []
     for name in _BROWSERS:
         if path := shutil.which(name):
@@ -179,7 +179,7 @@ def _browser() -> str:
 
 
 def _disks() -> dict[str, int]:
-    """Free space [bytes] where results, temporary files and caches go."""
+    """Return the free space [bytes] where results, temporary files and caches go."""
     places = [Path.cwd(), Path(tempfile.gettempdir())]
     if (cache := cache_folder("")) is not None:
         places.append(next(path for path in (cache, *cache.parents) if path.exists()))

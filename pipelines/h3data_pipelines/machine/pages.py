@@ -79,7 +79,7 @@ def error_kinds(page: str) -> list[ErrorKind]:
 
 
 def _rows(page: str, *, of: int) -> Iterator[list[str]]:
-    """The cells of the rows of all tables with so many columns."""
+    """Yield the cells of the rows of all tables with so many columns."""
     for line in page.splitlines():
         cells = [_plain(cell.strip()) for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
         if len(cells) == of:
@@ -117,7 +117,7 @@ def _entry(code: str, page: str) -> Outcome:
 
 
 _OF_SITE = ("index", "changes", "gallery")
-"""Pages that only the site has: they are made of other files, or of pictures."""
+"""Pages that only the site has, because they are made of other files or of pictures."""
 
 
 def _pages() -> dict[str, Path]:

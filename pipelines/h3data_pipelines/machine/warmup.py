@@ -82,8 +82,9 @@ def compiled_aside(names: Sequence[str]) -> Iterator[subprocess.Popen[str] | Non
     """Compile the kernels of some programs of `WORK` in a separate process while the block runs.
 
     numba compiles in one thread of a process at a time. If this process needs a kernel that the other process is
-    compiling, it waits for it (`h3data.kernels`). If kernels are installed in compiled form (`h3data.kernels.shipped`),
-    or those of pictures have been compiled before, no process is started and the block gets None.
+    compiling, this process waits (`h3data.kernels`). If kernels are installed in compiled form
+    (`h3data.kernels.shipped`), or those of pictures have been compiled before, no process is started and the block gets
+    None.
     """
     from h3data.render.raster.raster import rasterise
 

@@ -80,7 +80,7 @@ def _index_of(ids_of_instances: NDArray[np.int32], ids: NDArray[np.int32]) -> ND
 def _moved(
     scene: RenderScene, instance: int, points: NDArray, triangle: NDArray, before: Poses, after: Poses
 ) -> NDArray[np.float64]:
-    """World points [N, 3] on an instance after its motion."""
+    """Return the world points [N, 3] on an instance after its motion."""
     slot = int(scene.instance_mesh[instance])
     old, new = before.matrix[instance], after.matrix[instance]
     if slot not in scene.deformable:

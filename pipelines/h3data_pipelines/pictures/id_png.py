@@ -1,7 +1,8 @@
-"""PNG files of ids, in a few percent of zlib's time: rows resemble those above, so that most pixels are skipped by eights.
+"""PNG encoder for images of ids that takes a few percent of zlib's time.
 
-Each row is stored as its difference to the row above (filter "up"). Runs of zeros, and of one number repeated, become
-references one or two bytes back (RFC 1951), in a Huffman code that is the same for all pictures.
+Rows resemble those above, so that most pixels are skipped eight at a time. Each row is stored as its difference to the
+row above (filter "up"). Runs of zeros and of any repeated number become references to one or two bytes before (RFC
+1951), with the same Huffman code for all pictures.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def _literal_sizes() -> NDArray[np.int64]:
-    """Bits of the codes of bytes, of the end of the block, and of the classes of lengths, shape [286].
+    """Return the bits of the codes of bytes, of the end of the block, and of the classes of lengths, shape [286].
 
     Chosen for ids of homes: long runs of zeros, and small differences. Every code is used up: the sum of 2^-bits is 1.
     """
@@ -63,7 +64,7 @@ def _joined(parts: Iterable[tuple[int, int]]) -> tuple[int, int]:
 
 
 def _tables() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8], int]:
-    """Code and size of each byte and of the end [257, 2], and of runs by their length [259, 2], without the distance.
+    """Return code and size of each byte and of the end [257, 2], and of runs by length [259, 2], without distance.
 
     Then the bits with which all files begin, as bytes, and their number.
     """
@@ -183,7 +184,7 @@ def _deflate(ids, tables, out):
 
 @kernel_part(forceinline=True)
 def _difference(one, other):
-    """Differences of the higher and of the lower bytes of two numbers, each modulo 256."""
+    """Return the differences of the higher and of the lower bytes of two numbers, each modulo 256."""
     return ((one >> 8) - (other >> 8)) & 255, (one - other) & 255
 
 
@@ -221,7 +222,7 @@ def _put_zeros(bits, count, at, out, literals, runs, number):
 
 @intrinsic
 def equal_pixels(typing_context, one_at, other_at):
-    """Return the number of leading 16-bit numbers, of the 16 at two addresses, that are equal."""
+    """Return how many of the 16 leading 16-bit numbers at two addresses are equal."""
 
     def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
         kind = ir.VectorType(ir.IntType(16), _AT_ONCE)

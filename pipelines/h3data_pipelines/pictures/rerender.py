@@ -185,7 +185,7 @@ class Rerender:
         return self.samples or (4 if self.format in ("mp4", "av1") else 1)
 
     def _rendered(self, shards: Sequence[Shard], stack: ExitStack) -> Iterator[RenderedShard]:
-        """All recordings in order: one after the other by threads of this process, or side by side by Ray."""
+        """Return all recordings in order: one after the other by threads of this process, or side by side by Ray."""
         work = partial(render_shard, self, alone=len(shards) == 1)
         if self.executor == "local":
             return map(work, shards)
@@ -259,7 +259,7 @@ class Rerender:
         return lines, row
 
     def _kept(self, rows: Sequence[dict[str, Any]]) -> str:
-        """Says how many files of an interrupted run are complete; empty where there is none."""
+        """Say how many files of an interrupted run are complete; return an empty text if there are none."""
         files = sum(len(row.get("files", ())) for row in rows)
         return f"{counted(files, 'file')} in {self.out} are complete: the same command goes on" if files else ""
 
@@ -268,7 +268,7 @@ class Rerender:
 
     @contextmanager
     def _marked(self, stem: str, track: CameraTrack, targets: Sequence[Target]) -> Iterator[None]:
-        """Keeps a marker file while this camera is being rendered: a later run may replace incomplete files it covers."""
+        """Keep a marker file while this camera is being rendered; a later run may replace incomplete files of it."""
         mark = self._mark(stem, track)
         self.out.mkdir(parents=True, exist_ok=True)
         mark.touch()
@@ -309,7 +309,7 @@ def render_shard(command: Rerender, shard: Shard, *, alone: bool) -> RenderedSha
 
 
 def _shards(paths: Sequence[Path]) -> list[Shard]:
-    """The recordings at the paths, of folders and datasets all that are in them."""
+    """Return the recordings at the paths, including all recordings in folders and datasets."""
     found: list[tuple[Path, PurePath]] = []
     for path in paths:
         if not place(path).is_dir():
@@ -340,7 +340,7 @@ class DiskFullError(InputError):
 
 @contextmanager
 def _disk_errors(folder: Path) -> Iterator[None]:
-    """Turns errors of a full disk and of a folder without write access into `InputError`."""
+    """Turn errors of a full disk and of a folder without write access into `InputError`."""
     try:
         yield
     except OSError as error:

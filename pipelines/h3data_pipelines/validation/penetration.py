@@ -218,7 +218,7 @@ def _lifted(frames: NDArray[np.floating], body: Robot | Humanoid) -> NDArray[np.
 def _deepest(
     depth: NDArray[np.float64], thing: NDArray[np.object_], of_part: NDArray[np.intp], parts: int
 ) -> tuple[NDArray[np.float64], NDArray[np.object_]]:
-    """From shapes [T, S] to the parts [T, P] that they belong to."""
+    """Return the greatest depth [T, P] of the shapes [T, S] of each part, and the thing in which that shape is."""
     best, where = np.zeros((len(depth), parts)), np.full((len(depth), parts), "", object)
     for shape, part in enumerate(of_part):
         deeper = depth[:, shape] > best[:, part]
@@ -264,7 +264,7 @@ class _Scenery:
     def depths(
         self, shapes: Sequence[Shape], frames: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.object_]]:
-        """Depths [T, S] [m] of shapes in frames [T, S, 4, 4], and names [T, S] of the things in which they are deepest."""
+        """Return depths [T, S] [m] of shapes in frames [T, S, 4, 4], and the names [T, S] of the deepest things."""
         depth, thing = np.zeros(frames.shape[:2]), np.full(frames.shape[:2], "", object)
         moving, cores = MovingShapes(shapes), MovingShapes([_core(shape) for shape in shapes])
         for t, pose in enumerate(frames):

@@ -147,7 +147,7 @@ def _schema(rec: Recording) -> Iterator[Finding]:
 
 
 def _joints(rec: Recording) -> Iterator[Finding]:
-    """Positions of doors and drawers that do not fit the attached scene."""
+    """Yield findings about positions of doors and drawers that do not fit the attached scene."""
     array = rec.columns.get(JOINTS)
     if array is None:
         return
@@ -210,7 +210,7 @@ def _expected(array: NDArray[Any], kind: DTypeLike, shape: tuple[int | None, ...
 
 # --- time and numbers -------------------------------------------------------------------------------------------------
 def _time(rec: Recording) -> Iterator[Finding]:
-    """Gaps in time, and a time step that differs from the one in the header.
+    """Yield findings about gaps in time, and about a time step that differs from the one in the header.
 
     Opening a recording already checks that time increases.
     """
@@ -266,7 +266,7 @@ def _holds_poses(name: str, array: NDArray[Any]) -> bool:
 
 
 def _unit(name: str, quats: NDArray[Any]) -> Iterator[Finding]:
-    """Findings about quaternions [T, ..., 4] that are not of unit length; NaN marks absent objects."""
+    """Yield findings about quaternions [T, ..., 4] that are not of unit length; NaN marks absent objects."""
     if (np.abs(np.einsum("...i,...i", quats, quats) - 1) < UNIT_WARNING).all():  # the length is off by half of that
         return
     off = np.abs(np.linalg.norm(quats.astype(np.float64), axis=-1) - 1).reshape(len(quats), -1)
@@ -322,7 +322,7 @@ def _angles(quats: NDArray[Any]) -> NDArray[np.float64]:
 
 # --- bodies, walls, files ---------------------------------------------------------------------------------------------
 def _posed(rec: Recording, assets: AssetLibrary) -> Iterator[Finding]:
-    """Findings that need the posed bodies, the scene or the asset files."""
+    """Yield findings that need the posed bodies, the scene or the asset files."""
     try:
         replay = _Poses(rec, assets=assets)
     except H3DataError as fault:
@@ -363,7 +363,7 @@ class _Poses(PosedRecording):
             self.missing[ref.uri] = self.missing.get(ref.uri, 0) + 1
 
     def leg_frames(self, agent: int, body: Humanoid, steps: NDArray[np.integer]) -> NDArray[np.floating]:
-        """World matrices of the joints of a person's legs, shape [T, 2, 4, 4, 4]; see `LEG_JOINTS`."""
+        """Return the world matrices of the joints of a person's legs, shape [T, 2, 4, 4, 4]; see `LEG_JOINTS`."""
         planted = not any(f"agent_{agent}.{name}" in self.recording.columns for name in ("joint_quat", "motion_seat"))
         if not planted or self._gestures_of(agent) is not None:
             return self.joint_matrices(agent, steps)[:, LEG_JOINTS]
@@ -411,7 +411,7 @@ def _in_walls(rec: Recording, replay: _Poses) -> Iterator[Finding]:
 
 
 def _through_doors(rec: Recording, scene: Scene, free: FreeSpace) -> Iterator[Finding]:
-    """Agents whose roots cross the leaf of a door between rooms, wherever it stands in that step."""
+    """Yield findings about agents whose roots cross the leaf of a door between rooms, wherever that leaf is."""
     joints, recorded = joints_of(scene), rec.columns[JOINTS].astype(np.float64)
     roots = [rec.agent_column(i, "base_pose")[:, [0, 2]].astype(np.float64) for i in range(len(rec.agents))]
     steps = [linestrings(np.stack([xz[:-1], xz[1:]], axis=1)) for xz in roots]
@@ -432,7 +432,7 @@ def _through_doors(rec: Recording, scene: Scene, free: FreeSpace) -> Iterator[Fi
 
 
 def _feet(replay: _Poses, agent: int) -> Iterator[Finding]:
-    """Soles below the floor, and feet that slide while they carry weight.
+    """Yield findings about soles below the floor, and about feet that slide while they carry weight.
 
     The floor is at the height of the root, or of the tread below the foot.
     """

@@ -171,7 +171,7 @@ def tight_gaps(loose: BaseGeometry, floor: float, *, radius_m: float) -> list[Pr
 
 
 def _narrowest(loose: BaseGeometry, neck: BaseGeometry, most: float) -> float:
-    """Growth of the disc's radius at which it no longer passes a neck [m], to within 2 mm; at most ``most``."""
+    """Return growth of the disc's radius at which it no longer passes a neck [m], to within 2 mm; at most ``most``."""
     around = loose.intersection(neck.buffer(0.3))
     before = len([p for p in shapely.get_parts(around) if p.intersects(neck)])
     low, high = 0.0, most
@@ -216,7 +216,7 @@ def hull_fills_hollows(asset: Asset) -> bool:
 
 # --- objects that do not rest on anything -----------------------------------------------------------------------------
 def _resting(scene: Scene, loose: FreeSpace) -> Iterable[Problem]:
-    """Kinematic objects with nothing below them, or partly below the surface of their receptacle."""
+    """Yield findings about kinematic objects without support, or partly below the surface of their receptacle."""
     movable = [i for i in scene.instances if i.motion == "kinematic" and len(scene.assets[i.asset].mesh.vertices)]
     if not movable:
         return
@@ -244,7 +244,7 @@ def _resting(scene: Scene, loose: FreeSpace) -> Iterable[Problem]:
 
 
 def _sunk(surfaces: Sequence, thing: Instance, foot: NDArray[np.float64], top: float) -> tuple[float, str] | None:
-    """Height of a receptacle's surface above the foot of an object within its rectangle, and the receptacle's name."""
+    """Return the height of a receptacle's surface above the foot of an object on it, and the receptacle's name."""
     for matrix, owner, receptacle in surfaces:
         local = np.linalg.solve(matrix[:3, :3], foot - matrix[:3, 3]) - receptacle.center
         level = (matrix[:3, :3] @ receptacle.center + matrix[:3, 3])[1]
@@ -278,7 +278,7 @@ def _support(
 
 
 def _height_below(triangles: NDArray, points: NDArray, level: float) -> float:
-    """Greatest height up to ``level`` at which vertical lines through points [N, 2] (x, z) hit triangles [F, 3, 3]."""
+    """Return the greatest height up to ``level`` at which verticals at points [N, 2] (x, z) hit triangles [F, 3, 3]."""
     flat = triangles[..., [0, 2]]
     near = (flat.min(1) <= points.max(0)).all(1) & (flat.max(1) >= points.min(0)).all(1)
     near &= triangles[..., 1].min(1) <= level

@@ -93,7 +93,7 @@ def nearest_of(distances: NDArray[np.float64]) -> int:
 
 
 def _offsets(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Offsets from the robot to each person on the floor [T, P, 2], and their lengths [T, P] [m]."""
+    """Return the offsets from the robot to each person on the floor [T, P, 2], and their lengths [T, P] [m]."""
     robot, others = find_others(recording)
     at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
     people = [recording.agent_column(number, "base_pose")[:, [0, 2]].astype(np.float64) for number in others]
@@ -244,7 +244,7 @@ def _seconds(recording: Recording, row: int) -> float:
 
 
 def _rate(values: NDArray[np.float64], seconds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Change per second since the previous row [T, ..., 2]; NaN in row 0."""
+    """Return the change per second since the previous row [T, ..., 2]; NaN in row 0."""
     rate = np.full(values.shape, np.nan)
     rate[1:] = np.diff(values, axis=0) / np.diff(seconds).reshape(-1, *[1] * (values.ndim - 1))
     return rate

@@ -93,7 +93,7 @@ def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> l
 
 
 def social_series(recording: Recording) -> Series:
-    """Compute the per-row quantities and flags [T]. Motion in row k is since row k - 1."""
+    """Compute the per-row quantities and flags [T]. Motion in row k is since row k - 1, and NaN in row 0."""
     find_agents(recording)
     crowd = _Crowd.of([recording])
     series = {
@@ -116,19 +116,19 @@ def social_series(recording: Recording) -> Series:
 
 @dataclass(frozen=True)
 class _Contacts:
-    """Whom the robot of an episode touches; None where nobody recorded it."""
+    """People whom the robot of an episode touches; None if it was not recorded."""
 
     people: Flags | None
-    """[T, P]."""
+    """Contact with each person, [T, P]."""
     robots: Flags | None
-    """[T, number of other robots]."""
+    """Contact with each other robot, [T, number of other robots]."""
     walls: Flags | None
-    """[T, 1]."""
+    """Contact with walls, [T, 1]."""
     note: str = ""
 
     @property
     def touched(self) -> Flags | None:
-        """Rows in which it touches a person [T]."""
+        """Rows in which the robot touches a person [T]."""
         return _rows_of(self.people)
 
     @classmethod
@@ -185,15 +185,15 @@ class _Crowd:
     seconds: Array
     """Time since the previous row [R]; NaN in the first of an episode."""
     at: Array
-    """Robots on the floor [R, 2] [m]."""
+    """Places of robots on the floor [R, 2] [m]."""
     turn: Array
-    """Absolute changes of their heading [R] [rad]."""
+    """Absolute changes of the robots' heading [R] [rad]."""
     people: Array
-    """[R, P, 2] [m]."""
+    """Places of people on the floor [R, P, 2] [m]."""
     gaps: Array
     """Distances from the robot to each person [R, P] [m]."""
     nearest: Array
-    """The smallest of them [R] [m]."""
+    """Smallest distance from the robot to a person [R] [m]."""
     speed: Array
     """Speed of the robot since the previous row, shape [R] [m/s]."""
     goals: Sequence[Goal]
@@ -240,12 +240,12 @@ class _Crowd:
         return (self.speed < STALLED_M_S) & (self.turn / self.seconds < STALLED_RAD_S)
 
     def nearest_person(self, episode: int) -> int:
-        """Return the column of the person whom the robot of an episode comes nearest; 0 if nobody knows."""
+        """Return the column of the person whom the robot of an episode comes nearest; 0 if unknown."""
         rows = slice(self.rows.starts[episode], self.rows.ends[episode])
         return nearest_of(self.gaps[rows])
 
     def times_to_collision(self) -> Array:
-        """Time until the discs of robot and person touch, if both go on as since the previous row [R, P] [s]."""
+        """Return the time until the discs of robot and person touch at their last velocities [R, P] [s]."""
         towards = self.people - self.at[:, None]
         velocity = self.rows.changes(towards) / self.seconds[:, None, None]
         return time_to_collision(towards, velocity, ROBOT_RADIUS_M + HUMAN_RADIUS_M)
@@ -259,7 +259,7 @@ class _Crowd:
         return (robot >= person) & (length > 0), (robot < person) & (length > 0)
 
     def stuck(self) -> Flags:
-        """Rows in which the goal has come less than `PROGRESS_M` nearer within `PROGRESS_S`, before it is reached [R]."""
+        """Return rows [R] before arrival in which the goal came less than `PROGRESS_M` nearer within `PROGRESS_S`."""
         distance = np.concatenate([goal.distance for goal in self.goals])
         before = self.rows.earlier(self.time_ns, int(PROGRESS_S * 1e9))
         with np.errstate(invalid="ignore"):
@@ -391,7 +391,7 @@ def _note(goal: Goal, contacts: _Contacts, notes: Notes) -> None:
 
 
 def _group_gaps(recording: Recording, robot: int) -> tuple[Array, Array]:
-    """Distances of the robot to each group's centre, inf before they have met, and the groups' radii, each [T, G] [m]."""
+    """Return distances of the robot to the centres of groups, inf before they meet, and their radii, [T, G] [m]."""
     told, names = recording.episode.info.get("people"), [agent.name for agent in recording.agents]
     groups: dict[str, list[int]] = {}
     for name, facts in told.items() if isinstance(told, dict) else ():
@@ -414,7 +414,7 @@ def _group_gaps(recording: Recording, robot: int) -> tuple[Array, Array]:
 
 
 def _of_groups(recording: Recording, robot: int) -> dict[str, float]:
-    """Return metrics of groups; none where nobody walks or talks in one."""
+    """Return metrics of groups; none if no person walks or talks in a group."""
     gaps, radii = _group_gaps(recording, robot)
     seen = np.asarray(~np.isnan(gaps).all(axis=1))
     if not gaps.shape[1] or not seen.any():
@@ -427,7 +427,7 @@ def _of_groups(recording: Recording, robot: int) -> dict[str, float]:
 
 
 def _of_contacts(contacts: _Contacts) -> dict[str, float]:
-    """Counts of contacts, NaN where nobody recorded them."""
+    """Return the counts of contacts; NaN if no contacts were recorded."""
 
     def count(flags: Flags | None) -> float:
         if flags is None:

@@ -79,7 +79,7 @@ def train_rearrange(
 
 
 def _cost(settings: PopulationSettings, workers: int | None) -> dict[str, float]:
-    """Rough cost of a run: workers, updates, episodes, steps, CPU seconds and bytes of checkpoints."""
+    """Return a rough cost of a run: workers, updates, episodes, steps, CPU seconds and bytes of checkpoints."""
     from h3data_training.populations.pool import default_workers
 
     count = 1 if settings.oracle else workers or default_workers()

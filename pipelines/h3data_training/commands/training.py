@@ -287,7 +287,7 @@ class Train:
         return ",".join(self.scenes) or None
 
     def _length(self) -> dict[str, Any]:
-        """Minutes and updates of the run, None as in the recipe; minutes alone take the place of a recipe's updates."""
+        """Return minutes and updates of the run, None as in the recipe; minutes alone replace a recipe's updates."""
         of_recipe = None if self.minutes is None else 0
         return {"minutes": self.minutes, "updates": of_recipe if self.updates is None else self.updates}
 

@@ -75,7 +75,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         """Read a dataset that ``h3data export --to lerobot`` wrote.
 
         Args:
-            dataset: its folder.
+            dataset: folder of the dataset.
             scenes: homes of sampled episodes, as for `h3data.make` (default: those of the dataset).
             episodes: ``sampled``: new episodes under the rules of the dataset's first episode. ``recorded``: the
                 dataset's own, from their starts; ``reset(seed=k)`` starts episode k.
@@ -88,7 +88,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         Raises:
             InputError: the dataset was not exported to LeRobot, or it cannot be played, because its task has skills,
                 its agent is not a robot, or one of its cameras is not on an agent.
-            FormatError: it is damaged.
+            FormatError: the dataset is damaged.
         """
         given = {"episodes": episodes, "cameras": cameras, "max_steps": max_steps, "light": light}
         folder = None if record is None else str(record)
@@ -134,7 +134,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         self._walks: dict[int, PlantedWalk] = {}
         """Feet of each person, by number of the agent."""
         self.task_description = self._task.codec.instruction(self._first)
-        """The task in words, as policies that are conditioned on language have learned it."""
+        """Task in words, in the form with which language-conditioned policies were trained."""
         width = len(self.demonstrations.action_names)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (width,), np.float32)
         self.observation_space = self._space()
@@ -322,7 +322,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
                 self._walks[k] = PlantedWalk(on_stairs(member.body.gait_tables, heights), base)
 
     def _joint_frames(self, number: int, body: Humanoid) -> NDArray[np.floating]:
-        """World frames of a person's joints now, [1, 55, 4, 4]."""
+        """Return the world frames of a person's joints now, [1, 55, 4, 4]."""
         agent, now = f"agent_{number}.", self._columns
         quats, pelvis = pose_planted(self._walks[number].tables, self._walks[number].state[None])
         if agent + "motion_arms" in now:
@@ -346,7 +346,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
 
 
 def _playable(shown: Demonstrations, episodes: int) -> Demonstrations:
-    """Demonstrations of a robot that has some episodes."""
+    """Return the demonstrations of a robot that has some episodes."""
     if not episodes or len(shown.seeds) != episodes:
         raise InputError(
             f"Expected meta/h3data.json to describe the dataset's {episodes} episodes, it describes {len(shown.seeds)}. Hint: "

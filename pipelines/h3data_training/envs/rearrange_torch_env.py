@@ -174,7 +174,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
 
     # --- parts --------------------------------------------------------------------------------------------------------
     def _eager(self) -> None:
-        """One step of all worlds, in place."""
+        """Make one step of all worlds, in place."""
         self._shown, self._told = self._move()
 
     def _moved(self) -> tuple[dict[str, Tensors], Tensors]:

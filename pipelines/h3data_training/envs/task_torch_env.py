@@ -196,7 +196,7 @@ class TaskTorchEnv(TorchEnv[Play]):
 
     # --- parts --------------------------------------------------------------------------------------------------------
     def _eager(self) -> None:
-        """One step of all worlds, in place."""
+        """Make one step of all worlds, in place."""
         shown = self._move()
         if self._cameras is not None:
             shown |= self._pictures(self._cameras)

@@ -147,7 +147,7 @@ class TorchEnv(Generic[P]):
         raise NotImplementedError
 
     def _eager(self) -> None:
-        """A whole step, in place; what a graph captures."""
+        """Make a whole step, in place, which a graph captures."""
         raise NotImplementedError
 
     def _forget_actions(self) -> None:

@@ -74,7 +74,8 @@ class ChooserLearner:
         self._x: dict[str, Tensor] = {}
         """The minibatch that a gradient step learns from."""
         self._means = torch.zeros(5, device=self.device)
-        """Means over it: losses of the critic and of guesses, entropy, KL divergence, share of clipped ratios."""
+        """Means over the minibatch: losses of the critic and of guesses, entropy, KL divergence, share of clipped
+        ratios."""
         self._step: Callable[[], None] = self._eager
 
     @property
@@ -175,7 +176,7 @@ class ChooserLearner:
         return [t for kept in self.optimizer.state.values() for t in kept.values()]
 
     def _eager(self) -> None:
-        """A gradient step, operation by operation, so that a CUDA graph can capture it."""
+        """Make a gradient step, operation by operation, so that a CUDA graph can capture it."""
         s, net, x = self.settings, self.net, self._x
         valid = x["valid"]
         total = valid.sum()
@@ -202,7 +203,7 @@ class ChooserLearner:
             self._means.copy_(torch.stack([wrong, guess, *((t * valid).sum() / total for t in parts)]))
 
     def _critic_obs(self, x: Mapping[str, Tensor], counts: Tensor, partners: Sequence[str]) -> Tensor:
-        """Inputs of the critic, which include who the partner is, [D, n]."""
+        """Return the inputs of the critic, which include who the partner is, [D, n]."""
         number = torch.tensor([self.settings.partners.index(name) for name in partners], device=self.device)
         one = nn.functional.one_hot(number.repeat_interleave(counts), len(self.settings.partners))
         return torch.cat([x["each"].flatten(1), x["rest"], x["told"], one.float()], 1)

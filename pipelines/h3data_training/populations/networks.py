@@ -22,8 +22,8 @@ from sim_kinematic.policies.choosers.chooser_network import (
 from sim_kinematic.policies.visual_policy import PATCH, picture_in
 
 PERSIST = 4.5
-"""Probability, at the start of training, that an interrupted agent continues on its path. It is 0.97, because otherwise
-agents would never arrive.
+"""Probability, at the start of training, that an interrupted agent continues on its path. The probability is 0.97,
+because otherwise agents would never arrive.
 """
 AT_HAND, ASIDE = 1.0, -2.0
 """Initial biases of the network's scores for picking and placing at the target, and for waiting and the primitives."""

@@ -131,7 +131,7 @@ class Batch(NamedTuple):
 
 
 class _Sampler(RecurrentSkillPolicy):
-    """Chooses at random by the scores, and keeps all it was shown."""
+    """Chooser that samples by the scores, and stores all its observations."""
 
     def __init__(self, network: SkillPolicyNetwork, objects: int, *, robot: bool, rng: np.random.Generator) -> None:
         super().__init__(network, objects, robot=robot)
@@ -222,7 +222,7 @@ def play_episode(job: Job, episode: RearrangeEpisode) -> Batch:
 
 # --- processes ----------------------------------------------------------------------------------------------------------
 _EPISODES: Sequence[RearrangeEpisode] = ()
-"""Episodes of this process, as they were when it was forked."""
+"""Episodes of this process, in their state when it was forked."""
 
 
 class Players:
@@ -305,7 +305,7 @@ class Players:
 
 
 def _begin() -> None:
-    """A process goes on through Ctrl-C, which reaches all of them, and ends with the one that started it."""
+    """Prepare a process that ignores Ctrl-C, which reaches all processes, and ends with the one that started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

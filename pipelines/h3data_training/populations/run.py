@@ -151,7 +151,7 @@ class _Run:
         say(f"{settings.population}: {learners}, {workers} after {self.setup_s:.0f} s")
 
     def elapsed(self) -> float:
-        """Seconds of this call."""
+        """Return the seconds of this call."""
         return time.time() - self._began
 
     @property
@@ -271,7 +271,10 @@ class _Run:
             ) from None
 
     def _save(self, *, is_last: bool) -> None:
-        """Checkpoint, curve and policies, each whole or not at all. A disk that is full ends the run only at its end."""
+        """Save checkpoint, curve and policies, each completely or not at all.
+
+        A full disk ends the run only at its end.
+        """
         kept = {
             "format": FORMAT,
             "settings": self.settings.as_dict(),
@@ -327,6 +330,6 @@ def _outcome(played: Sequence[Played]) -> dict[str, float]:
 
 
 def _others(losses: dict[str, dict[str, float]]) -> dict[str, float]:
-    """Mean losses of the partners that learn."""
+    """Return the mean losses of the partners that learn."""
     names = ("value_loss", "entropy", "kl", "clipped", "explained", "gradient_steps")
     return {f"partners_{n}": float(np.mean([row[n] for row in losses.values()])) for n in names} if losses else {}

@@ -60,7 +60,7 @@ class TensorSkillPolicy:
         self._names = [name for name, _ in cast]
         most = max(n for _, n in cast)
         self._rows = torch.zeros(len(cast), most, dtype=torch.int64, device=sim.device)
-        """Worlds of each network, [P, N]; one that has fewer has its last one several times."""
+        """Worlds of each network, [P, N]; a network with fewer worlds has its last one several times."""
         self._arrays: dict[str, Tensor] = {}
         self._kept: dict[str, Tensor] = {}
         """Rows of all steps, [T, W, ...] each."""
@@ -69,7 +69,7 @@ class TensorSkillPolicy:
         self._thought = torch.zeros(worlds, dtype=torch.int64, device=sim.device)
         self._noise = torch.zeros(0, device=sim.device)
         self._pictures = torch.zeros(worlds, 0, 0, dtype=torch.half, device=sim.device)
-        """Roots of the depth that robots saw at the last look, [W, H, W']."""
+        """Roots of the depth that robots saw in their last picture, [W, H, W']."""
         self._found = self._features = torch.zeros(worlds, 0, device=sim.device)
 
     @property
@@ -158,7 +158,7 @@ class TensorSkillPolicy:
         keep_row(self._kept, step, row._asdict(), rows=len(self._noise))
 
     def _asked(self, view: View) -> tuple[Tensor, View]:
-        """Agents that choose now (`RecurrentChooser.interrupts`), bool [W], and the view of those who are interrupted."""
+        """Return agents that choose now (`RecurrentChooser.interrupts`), bool [W], and the view of interrupted ones."""
         play, does = view.play, view.does
         running = does.skill.clamp_min(0)
         kind, holder = view.choices.kind[running], of_object(play.held_by, view.choices.target[running])
@@ -265,7 +265,7 @@ def scored(arrays: Arrays, each: Tensor, rest: Tensor, state: Tensor) -> tuple[T
 
 
 def allowed(view: View, *, informed: bool = True) -> Tensor:
-    """Return a mask of sensible choices [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
+    """Return a mask of sensible choices, bool [W, C] (`sim_kinematic.policies.choosers.recurrent_chooser.allowed`)."""
     numbers = every_choice(view.choices, len(view.now.xz))
     kind, k, objects = view.choices.kind[numbers], view.choices.target[numbers], view.sim.bank.objects
     held = view.play.held_by

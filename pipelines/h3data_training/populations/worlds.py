@@ -40,7 +40,10 @@ CHECK_STEPS = 25
 
 
 class TensorPlayers:
-    """Player of training episodes in worlds on a device, with the interface of `playing.Players`."""
+    """Player of training episodes in worlds on a device.
+
+    The interface is that of `h3data_training.populations.playing.Players`.
+    """
 
     workers = 1
 
@@ -148,7 +151,7 @@ class _Worlds:
         self._look: Callable[[], object] = self._draw
 
     def played(self, jobs: Sequence[Job]) -> Batch:
-        """Some episodes, in their order."""
+        """Play some episodes and return their batch, in their order."""
         device, seed = self._sim.device, episode_seed(jobs[0].seed, jobs[0].number) % 2**63
         entries = torch.tensor([job.entry for job in jobs], device=device)
         generator = torch.Generator(device).manual_seed(seed)
@@ -177,7 +180,7 @@ class _Worlds:
         return _batch(self._sim, self._play, jobs, self._choosers, self._rewards[:steps].double())
 
     def _starts(self, entries: Tensor, generator: torch.Generator) -> Tensor:
-        """Starts ``(x, z, heading)`` of robot and person, [W, 2, 3].
+        """Return the starts ``(x, z, heading)`` of robot and person, [W, 2, 3].
 
         With `moves_starts` each agent begins where it does in a random episode of the same home, unless both would be
         too close to each other. There are then as many combinations as pairs of episodes in a home.
@@ -197,7 +200,7 @@ class _Worlds:
         return torch.where((torch.hypot(gap[:, 0], gap[:, 1]) < APART_M)[:, None, None], own, found)
 
     def _eager(self) -> None:
-        """One step of all worlds, in place."""
+        """Make one step of all worlds, in place."""
         paths, chosen = self._find(), []
         for chooser, choose in zip(self._choosers, self._choose, strict=True):
             choice, *row = choose(*paths, chooser.noise(self._step))
@@ -233,7 +236,7 @@ def _cameras(bank: RearrangeBank, worlds: int, size: tuple[int, int], device: to
 
 
 def _orders(jobs: Sequence[Job], objects: int, device: torch.device) -> Tensor:
-    """Plans of the partners, [W, K], as in `h3data_training.populations.playing.play_episode`."""
+    """Return the plans of the partners, [W, K], as in `h3data_training.populations.playing.play_episode`."""
     plans = [planner(job.partner, episode_seed(job.seed, job.number), objects).objects for job in jobs]
     return torch.as_tensor(orders(plans, objects), device=device)
 

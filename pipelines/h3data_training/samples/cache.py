@@ -82,7 +82,7 @@ def _key(dataset: DatasetFolder, shard: int, episodes: Sequence[int], schema: pa
 
 
 def _identity(path: AnyPath) -> tuple[str, int, int]:
-    """Location, size and time of the last change [ns] of a file."""
+    """Return the location, size and time of the last change [ns] of a file."""
     if isinstance(path, RemotePath):
         info = path.filesystem.get_file_info(path.key)
         return str(path), info.size or 0, info.mtime_ns or 0

@@ -25,7 +25,10 @@ class CpuSkillCameras:
         self._drawn: dict[int, StateRenderer] = {}
 
     def observe(self, play: SkillPlay, outputs: Sequence[Output] = ("depth",)) -> dict[str, Tensor]:
-        """Render all worlds on the CPU, with the interface of `SkillCameras.observe`."""
+        """Render all worlds on the CPU.
+
+        The interface is that of `h3data_training.torch.skills.cameras.SkillCameras.observe`.
+        """
         sensor = CameraSensor(outputs=tuple(outputs), size=self._size)
         return stacked(sensor, (self._posed(play, w, episode) for w, episode in enumerate(play.episode.tolist())))
 

@@ -96,7 +96,7 @@ class ActionRepeatSkills(ActionRepeat):
         self._move(k == self.hold - 1)
 
     def _moved(self, looks: bool) -> None:
-        """A step of all worlds, in place: of a state that fused code returns, PyTorch 2.11 loses parts."""
+        """Make a step of all worlds, in place: of a state that fused code returns, PyTorch 2.11 loses parts."""
         overwrite(self.play.tensors(), self.sim.step(self.play, self._action, looks=looks).tensors())
 
     def _long_enough(self) -> Tensor:

@@ -178,7 +178,10 @@ class TensorCameras:
         return {name: t.unflatten(0, (len(views), self.worlds)) for name, t in pictures.items()}
 
     def _frames_of(self, robot: RobotTensors, human: HumanTensors) -> tuple[Tensor, Tensor]:
-        """World matrices of the robot's links and cameras [W, N + C, 3, 4], of the person's joints and eyes [W, 56, 3, 4]."""
+        """Return world matrices of the robot's links and cameras [W, N + C, 3, 4], and of the person's joints and eyes.
+
+        Those of the person have the shape [W, 56, 3, 4].
+        """
         parts = in_world(self._robot, robot.xz.float(), robot.heading.float(), self._floor_y)
         posture = self._cycle.look_up(self._person, HumanTensors(*(t.float() for t in human)))
         return parts, in_world(posture, human.xz.float(), human.heading.float(), self._floor_y)

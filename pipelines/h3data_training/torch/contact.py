@@ -112,7 +112,10 @@ class TouchTest:
         return (self._distance(at) - self.radii).amin(-1)
 
     def _distance(self, points: Tensor) -> Tensor:
-        """From points [..., 3] in the robot's frame to its shapes; beyond the field, that of its border."""
+        """Return the distance from points [..., 3] in the robot's frame to its shapes.
+
+        Beyond the field, it is that of the field's border.
+        """
         f = (points - self.low) / CELL_M
         cube = torch.minimum(f.floor().clamp_min(0.0), self.last)
         a, b, c = (f - cube).clamp(0.0, 1.0).unbind(-1)
@@ -124,7 +127,7 @@ class TouchTest:
 
 
 def _balls(cycle: WalkingCycle) -> tuple[Array, Array]:
-    """Centres [rows, S, 3] in the root's frame and radii [S] of balls along the capsules."""
+    """Return the centres [rows, S, 3] in the root's frame and radii [S] of balls along the capsules."""
     start, end, radius = cycle.human.capsules_world(cycle.joint_matrices())
     length = np.linalg.norm(end - start, axis=-1).max(0)
     apart = 2 * np.sqrt(2 * radius * SCALLOP_M)  # of balls whose union is thinner than the capsule by that much
@@ -137,7 +140,7 @@ def _balls(cycle: WalkingCycle) -> tuple[Array, Array]:
 
 
 def _bone_balls(cycle: WalkingCycle) -> tuple[Array, Array]:
-    """Centres [rows, S, 3] in the root's frame and radii [S] of balls along the boxes of the bones."""
+    """Return the centres [rows, S, 3] in the root's frame and radii [S] of balls along the boxes of the bones."""
     frames, sizes = cycle.human.bone_boxes_world(cycle.joint_matrices())
     apart = 2 * np.sqrt(2 * BONE_RADIUS_M * SCALLOP_M)
     centres: list[Array] = []
@@ -162,7 +165,7 @@ def _bounds(shape: Shape, matrix: Array) -> tuple[Array, Array]:
 
 
 def _distance(shape: Shape, matrix: Array, points: Array) -> Array:
-    """Signed distance [...] [m] of points [..., 3] to a shape whose frame is ``matrix``."""
+    """Return the signed distance [...] [m] of points [..., 3] to a shape whose frame is ``matrix``."""
     if isinstance(shape, Capsule):
         a, b = (matrix[:3, :3] @ np.asarray(p) + matrix[:3, 3] for p in (shape.start, shape.end))
         axis = b - a
@@ -175,7 +178,7 @@ def _distance(shape: Shape, matrix: Array, points: Array) -> Array:
 
 
 def _trilinear(v: Array) -> Array:
-    """Coefficients of ``(k0 + k4 a) + (k2 + k6 a) b + ((k1 + k5 a) + (k3 + k7 a) b) c``, [cubes, 8]."""
+    """Return the coefficients of ``(k0 + k4 a) + (k2 + k6 a) b + ((k1 + k5 a) + (k3 + k7 a) b) c``, [cubes, 8]."""
     c0, c1 = v[..., :-1], np.diff(v, axis=2)  # along c
     lines = [part for c in (c0, c1) for part in (c[:, :-1], np.diff(c, axis=1))]  # 1, b, c, bc
     one, b, c, bc = lines

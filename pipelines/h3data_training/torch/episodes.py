@@ -149,7 +149,7 @@ def _columns(of_episodes: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]
 
 
 def _strides(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
-    """Position and heading of the person after each step, (x, z, heading) [P, 3] [m, m, rad]."""
+    """Return the position and heading of the person after each step, (x, z, heading) [P, 3] [m, m, rad]."""
     starts = Starts.of(episode.starts)
     track = np.empty((episode.spec.max_steps + 1, 3))
     before = np.array([*starts.human_xz, starts.human_heading])
@@ -159,7 +159,10 @@ def _strides(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
 
 
 def _way_points(episode: Episode, walker: WaypointHuman) -> NDArray[np.float64]:
-    """Waypoints of the person [P, 2] [m], at least as many as can be reached in an episode. Each is reached exactly."""
+    """Return the waypoints of the person [P, 2] [m], at least as many as can be reached in an episode.
+
+    The person reaches each waypoint exactly.
+    """
     stride = episode.spec.human.speed_mps * STEP_S
     points = [Starts.of(episode.starts).human_xz]
     steps = 0

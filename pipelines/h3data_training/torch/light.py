@@ -116,7 +116,10 @@ class AgentLight:
         return rows, torch.cat([own, members[..., None].float()], -1)
 
     def _at(self, points: Tensor, place: Tensor, *, cubes: bool) -> tuple[Tensor, Tensor]:
-        """Light from six sides [W, P, 6, 3] (zeros without ``cubes``) and reach [W, P] at points [W, P, 3], as in the field."""
+        """Return light from six sides [W, P, 6, 3] (zeros without ``cubes``) and reach [W, P] at points [W, P, 3].
+
+        The values are those of the field.
+        """
         size = self._sizes[place][:, None]
         at = (points - self._origins[place][:, None]) / self._spacings[place][:, None] - 0.5
         at = torch.minimum(at.clamp_min(0.0), (size - 1).float())

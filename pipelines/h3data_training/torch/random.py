@@ -26,7 +26,7 @@ def keys(seeds: Sequence[int], stream: str, *, device: torch.device | str, world
 
 
 def random(key: Tensor, step: Tensor, count: int) -> Tensor:
-    """Return ``count`` random numbers in [0, 1) of generators with keys [W, 2] at ``step`` [W], [W, count]."""
+    """Return ``count`` random numbers in [0, 1) of generators with keys [W, 2] at ``step`` [W], float64 [W, count]."""
     return ((bits(key, step, count) >> 11) & (2**53 - 1)).double() * 2.0**-53
 
 

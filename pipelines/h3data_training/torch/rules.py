@@ -40,7 +40,7 @@ _BASE = (
 )
 _WALKER = ("speed_mps", "turn_rad_s", "turn_before_walk_rad", "arrive_m", "blend_s")
 _SCRIPTED = ("maneuvers",)
-"""Scripts drive no robot here."""
+"""Rules that matter only for scripted robots, which a device does not have."""
 _SAMPLED = ("spawn_distance_m", "agent_radius_m", "agent_height_m")
 HELD: Mapping[str, Held] = {
     SocialNav.name: Held(
@@ -120,7 +120,10 @@ _WORLD = ("solid_agents", "floor_moves")
 
 
 def _held(rules: Any) -> Held:
-    """Rules held for a user's task. Its own functions read its rules; those that move agents are as in the built-in tasks."""
+    """Return the rules for a user's task.
+
+    The task's own functions read its rules; those that move agents are as in the built-in tasks.
+    """
     if isinstance(rules, RearrangeSpec):
         return _held_with_things(rules)
     task, like = type(rules), HELD[SocialNav.name]

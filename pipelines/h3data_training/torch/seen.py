@@ -24,7 +24,7 @@ def read_sensors(moment: Any, names: Sequence[str], sensors: Mapping[str, Sensor
 def free_along(grids: Grids, xz: Tensor, headings: Tensor, max_m: float) -> Tensor:
     """Return the free distance [W, R] [m] from positions [W, 2] along headings [W, R] [rad].
 
-    It equals that of `h3data.scene.freespace._sdf.trace_rays`.
+    The result equals that of `h3data.scene.freespace._sdf.trace_rays`.
     """
     start, direction = xz, heading_direction(headings).movedim(1, 0)
     reach = headings.new_zeros(headings.shape).movedim(1, 0)

@@ -41,7 +41,7 @@ class SocialNavTensors(TaskTensors):
         return {"found": steps > 0, "followed": steps, "geodesic": way.length, "towards": way.towards}
 
     def _judged(self, now: Play, fresh: Tensor) -> tuple[StepOutcome, dict[str, Tensor]]:
-        """By the paper's reward (`sim_kinematic.tasks.rules.rewards.SocialNavReward`)."""
+        """Return the outcome by the paper's reward (`sim_kinematic.tasks.rules.rewards.SocialNavReward`)."""
         rules, before, memory = self.spec, now.memory, self._begun(now)
         faces, length = facing(now.robot.xz, now.robot.heading, now.human.xz, xp=torch), memory["geodesic"]
         was = _distance(before["geodesic"], now.human_before_xz - now.before_xz)

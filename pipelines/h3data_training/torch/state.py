@@ -71,6 +71,6 @@ def choose(flag: Tensor, a: Tensor, b: Tensor) -> Tensor:
 
 
 def tensors_of(parts: Iterable[Any]) -> Iterator[Tensor]:
-    """Return the tensors among the fields of a state and in their tuples and mappings, in a fixed order."""
+    """Yield the tensors among the fields of a state and in their tuples and mappings, in a fixed order."""
     for part in parts:
         yield from part.values() if isinstance(part, Mapping) else part if isinstance(part, tuple) else (part,)

@@ -248,9 +248,9 @@ def velocities(action: Tensor, spec: BaseSpec) -> Velocities:
 def drive_robots(
     grids: Grids, robot: RobotTensors, action: Tensor, spec: BaseSpec, *, dt: float = STEP_S
 ) -> RobotTensors:
-    """Return the robots after ``action`` [W, 2 or 3] (forward, turn and sideways).
+    """Return the robots after ``action``: forward and turn [W, 2], or also sideways [W, 3].
 
-    It equals `sim_kinematic.motion.step.drive_robots`.
+    The result equals that of `sim_kinematic.motion.step.drive_robots`.
 
     No operation waits for the device, so no action is refused; a component that is not finite counts as 0.
     """

@@ -363,7 +363,7 @@ class TaskTensors:
         )
 
     def _begun(self, play: Play) -> dict[str, Tensor]:
-        """Memory that the task would have if all worlds began in their present state."""
+        """Return the memory that the task would have if all worlds began in their present state."""
         begun = self.task.begin(TensorRollout(self, play, None), torch.arange(len(play.steps), device=self.device))  # type: ignore[arg-type]
         return {
             "success": play.steps < 0,
@@ -375,7 +375,7 @@ class TaskTensors:
         return play.memory["success"]
 
     def _judged(self, now: Play, fresh: Tensor) -> tuple[Any, dict[str, Tensor]]:
-        """Outcome of the step and the task's memory after it; ``fresh`` [W] are worlds that have just begun."""
+        """Return outcome of the step and the task's memory after it; worlds that are ``fresh`` [W] have just begun."""
         begun = self._begun(now)
         memory = {name: choose(fresh, values, now.memory[name]) for name, values in begun.items()}
         rollout = TensorRollout(self, now._replace(memory=memory), dict(memory))

@@ -20,7 +20,7 @@ HALF_MIN_M = 1e-3
 """Least half extent of a box around flat objects [m]."""
 _WELD_M = 1e-5
 _SQUARE = 1e-6
-"""Largest difference of scales and of axes from right angles that is rounding."""
+"""Largest difference of scales, and of axes from right angles, that counts as rounding."""
 
 
 def is_collider(prim: Any) -> bool:

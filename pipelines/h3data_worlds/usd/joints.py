@@ -28,10 +28,10 @@ class _Link:
     path: str
     kind: str
     parent: str
-    """Path of the body that it hangs on; empty: the world, or what stands still."""
+    """Path of the body to which the link is attached; empty: the world, or things that stand still."""
     child: str
     stands_on: str
-    """Path of the prim that it hangs on, body or not; empty: the world."""
+    """Path of the prim to which the link is attached, body or not; empty: the world."""
     origin: NDArray[np.float64]
     axis: NDArray[np.float64]
     lower: float
@@ -144,7 +144,7 @@ class JointReader:
         return out if any(part.instances for part in out) else []
 
     def _root(self, link: _Link) -> str:
-        """Path of the prim that stands for the whole thing: the articulation's, else what its first joint hangs on."""
+        """Return path of the prim for the whole thing: that of the articulation, else of the first joint's parent."""
         for path in (link.child, *_above(link.child)):
             if self.opened.stage.GetPrimAtPath(path).HasAPI(pxr("UsdPhysics").ArticulationRootAPI):
                 return path if path != link.child else link.stands_on

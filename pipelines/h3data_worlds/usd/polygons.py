@@ -71,5 +71,5 @@ def _is_ear(flat: NDArray[np.float64], k: int) -> bool:
 
 
 def _turn(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Twice the signed area of triangles a, b, c [N, 2]; positive if they are counter-clockwise."""
+    """Return twice the signed area of triangles a, b, c [N, 2]; positive if they are counter-clockwise."""
     return (b[0] - a[0]) * (c[:, 1] - a[1]) - (b[1] - a[1]) * (c[:, 0] - a[0])

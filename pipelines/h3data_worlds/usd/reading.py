@@ -29,7 +29,7 @@ from h3data_worlds.usd.surfaces import SurfaceReader
 from h3data_worlds.usd.things import Gprim, Thing, ThingFinder, records_of
 
 _NEAR = 1e-5
-"""Numbers of a stage that differ less from those in our records are the same [m, or as share]."""
+"""Difference of numbers in a stage and in our records below which they are the same [m, or as share]."""
 _NOTES_MAX = 20
 _EMPTY = Mesh(
     vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.int32), colors=np.zeros((0, 3), np.uint8)
@@ -81,7 +81,7 @@ def read_usd(path: Any, *, allow_missing: bool = False, strict: bool = False) ->
 
 
 class _StageReader:
-    """Reads one stage."""
+    """Reader of one stage."""
 
     def __init__(self, opened: OpenStage) -> None:
         self.opened = opened
@@ -94,7 +94,7 @@ class _StageReader:
         self._asset_of: dict[Any, str] = {}
         self._asset_names = _Names()
         self.changed = False
-        """True if a stage of ours no longer has all that we wrote."""
+        """True if a stage that h3data wrote lacks some of its content."""
 
     def read(self) -> tuple[Scene, list[str], list[str]]:
         """Return the scene, what was left out or guessed, and which files are missing."""
@@ -261,7 +261,7 @@ class _StageReader:
         return bool(prim and prim.GetAttribute("physics:kinematicEnabled").Get())
 
     def _content(self, thing: Thing, back: Array, *, moves: bool) -> tuple[Mesh | None, list[Shape]]:
-        """Mesh and shapes of a thing in the frame to which ``back`` [4, 4] leads from the world, +Y up [m]."""
+        """Return mesh and shapes of a thing in the frame to which ``back`` [4, 4] leads from the world, +Y up [m]."""
         meshes: list[Mesh] = []
         shapes: list[Shape] = []
         for gprim in thing.gprims:
@@ -313,7 +313,7 @@ class _StageReader:
 
 
 def _order(parts: Sequence[Part], part: Part) -> int:
-    """Place among our records of the part that a body is, by a name that USD allows."""
+    """Return the index among our records of the part that a body is, by a name that USD allows."""
     plain = [re.sub(r"[^A-Za-z0-9_]", "_", other.name).lstrip("_") for other in parts]
     name = part.name.lstrip("_")
     return plain.index(name) if name in plain else len(parts)
@@ -343,7 +343,7 @@ def _same_shapes(old: Sequence[Shape], new: Sequence[Shape]) -> bool:
 
 
 def _asset_record(opened: OpenStage, key: str) -> Mapping[str, Any]:
-    """Our record of an asset, from the class prims that instances refer to."""
+    """Return our record of an asset, from the class prims that instances refer to."""
     classes = opened.stage.GetPrimAtPath(opened.stage.GetDefaultPrim().GetPath().AppendChild("Assets"))
     for prim in classes.GetAllChildren() if classes else ():
         record = records_of(prim)

@@ -123,7 +123,7 @@ def open_stage(path: Path) -> OpenStage:
 
 
 def _refuse_outside(stage: Any, path: Path) -> None:
-    """Refuse a package that refers to layers outside itself: whoever made it cannot know what lies there."""
+    """Refuse a package that refers to layers outside itself, because its author cannot know the files there."""
     inside = (f"{path.resolve()}[", f"{path}[", f"{path.absolute()}[")
     for layer in stage.GetUsedLayers():
         name = layer.realPath or layer.identifier

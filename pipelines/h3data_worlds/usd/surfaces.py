@@ -241,7 +241,7 @@ class SurfaceReader:
         return Look(color=_GRAY)
 
     def _omniverse(self, shader: Any) -> Look:
-        """Base colour and image of OmniPBR and materials made like it."""
+        """Return base colour and image of OmniPBR and materials like it."""
         named = ("diffuse_color_constant", "diffuse_tint", "base_color", "diffuse_color")
         color = next((v for name in named if (v := _value_of(shader.GetInput(name))[1]) is not None), None)
         files = ("diffuse_texture", "base_color_texture")
@@ -287,7 +287,7 @@ def prim_size(prim: Any, name: str, default: float, *, least: float = 1e-9) -> f
     """Return a positive length attribute of a prim in units of the stage, or ``default`` if it has none.
 
     Raises:
-        ValueError: it is not a positive number.
+        ValueError: the value is not a positive number.
     """
     value = prim.GetAttribute(name).Get(pxr("Usd").TimeCode.EarliestTime())
     value = default if value is None else float(value)

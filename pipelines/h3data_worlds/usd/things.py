@@ -107,9 +107,9 @@ class ThingFinder:
         self.joints: list[Any] = []
         self.rooms: list[Mapping[str, Any]] = []
         self.articulated: dict[str, Mapping[str, Any]] = {}
-        """Our records of things that open, by path."""
+        """h3data's records of things that open, by path."""
         self.assets: dict[str, Mapping[str, Any]] = {}
-        """Our records of assets, by their key."""
+        """h3data's records of assets, by their key."""
         self.receptacles: dict[str, list[Any]] = {}
         self.notes: dict[str, None] = {}
         """Sentences on what was left out, in order."""
@@ -193,7 +193,7 @@ class ThingFinder:
         owner.gprims.append(Gprim(prim=prim, world=self._world(prim), shown=shown, collides=collides))
 
     def _allow(self, more: int) -> None:
-        """Counts things before they are made; a few nested instances may stand for millions."""
+        """Count things before they are made, because a few nested instances may stand for millions."""
         self.copies += more
         if self.copies > MAX_COPIES:
             raise SceneError(
@@ -202,7 +202,7 @@ class ThingFinder:
             )
 
     def _copies(self, prim: Any, body: str, visible: bool) -> None:
-        """The copies that a point instancer makes of its prototypes: things of their own."""
+        """Add the copies that a point instancer makes of its prototypes, as separate things."""
         instancer = self._instancer(prim)
         which = np.asarray(instancer.GetProtoIndicesAttr().Get(self._time) or (), np.int64)
         prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
@@ -232,7 +232,7 @@ class ThingFinder:
             self.things[path] = made
 
     def _below(self, prototype: Any) -> Iterator[tuple[Any, NDArray[np.float64]]]:
-        """Surfaces at and below a prototype, each with its transform to the prototype's frame."""
+        """Yield surfaces at and below a prototype, each with its transform to the prototype's frame."""
         usd = pxr("Usd")
         if not prototype:
             return

@@ -139,7 +139,7 @@ class _Textures:
 
 
 class _StageWriter:
-    """Writes one scene into one stage."""
+    """Writer of one scene into one stage."""
 
     def __init__(self, stage: Any, scene: Scene, textures: _Textures) -> None:
         self.stage, self.scene, self.textures = stage, scene, textures
@@ -246,7 +246,7 @@ class _StageWriter:
         self._bind_materials(mesh, made, path)
 
     def _bind_materials(self, mesh: Mesh, made: Any, path: str) -> None:
-        """One material per texture and one of vertex colours; faces are divided among them by subsets."""
+        """Add one material per texture and one for vertex colours, among which faces are divided by subsets."""
         bind = self.shade.MaterialBindingAPI
         if mesh.face_textures is None:
             texture = mesh.textures[0] if mesh.textures else None

@@ -73,7 +73,7 @@ class Close:
     """Command to close a door or a drawer."""
 
     joint: str | int
-    """Door or drawer to close: its name (``thing/part``), or its index among the joints of the home."""
+    """Door or drawer to close, as in `Open`: its name (``thing/part``), or its index among the joints of the home."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class PersonCommand:
     right: HandTarget | None = None
     """Targets of the right and of the left hand; None: the arm swings, or carries the object in the hand."""
     head: tuple[float, float] | None = None
-    """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None: it looks ahead."""
+    """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None to look ahead."""
     do: Do | None = None
     """Skill to start. The person first comes to a stand; while the skill runs, the rest of the command is ignored."""
 

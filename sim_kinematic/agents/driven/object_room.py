@@ -25,7 +25,7 @@ class ObjectRoomSpec:
     """Largest depth of an object in neighbouring things [m]. Sampled goals lie on their surface but may overlap its
     raised edges (by 2.1 cm at 1 of 16 goals in small homes)."""
     upright: float = 0.7
-    """Vertical component of a contact's normal below which the contact counts as one from the side."""
+    """Vertical component of a contact's normal below which the contact counts as lateral."""
     support_m: float = 0.05
     """Largest distance of an object from the surface below that carries it [m]."""
     apart_m: float = 0.01

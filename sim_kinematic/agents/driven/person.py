@@ -126,7 +126,7 @@ class DrivenPerson(PersonActor):
         return self._cannot_reach(self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k], k)
 
     def stand_for(self, point: ArrayLike) -> Array | None:
-        """Return the nearest pose ``(x, z, heading)`` [3] with room from which a hand reaches a point [3].
+        """Return the nearest pose ``(x, z, heading)`` [3] with room from which a hand reaches a world point [3] [m].
 
         Returns None if there is none. The search may take 50 ms.
         """
@@ -189,7 +189,7 @@ class DrivenPerson(PersonActor):
         return SkillResult("done")
 
     def _after_standing(self, action: Action) -> Skill:
-        """A skill, once the person has come to a stand with arms and head as skills expect them."""
+        """Run a skill once the person stands still, with arms and head in the posture that skills expect."""
         self.command = 0.0, 0.0
         while self._stirs:
             self._drive(STAND)
@@ -317,7 +317,7 @@ class DrivenPerson(PersonActor):
         return hand + towards * (DRIVEN.meeting_m / max(float(np.linalg.norm(towards)), DRIVEN.meeting_m))
 
     def _upright(self, k: int, point: NDArray) -> Array:
-        """pose7 of what is held, put down at a point as it stood when it was taken."""
+        """Return pose7 of what is held, put down at a point as it stood when it was taken."""
         return np.concatenate([point, self.person.upright(self.person.held[self._hands(k)[0]])])
 
     # --- one step under a command -------------------------------------------------------------------------------------

@@ -159,7 +159,7 @@ class ArticulatedParts:
         return way
 
     def move(self, k: int, position: float) -> None:
-        """Move a joint, and with it the objects that lie on the parts that it moves."""
+        """Move a joint, together with the objects that lie on its moving parts."""
         state, before = self.objects.state, self.joints.motions(self.positions)
         # asked before it moves, while they lie where the part is
         lying = self._lying(k, before)
@@ -171,7 +171,7 @@ class ArticulatedParts:
             self.objects.poses[n] = pose_from_matrix(pose)
 
     def _lying(self, k: int, motions: Array) -> list[tuple[int, int]]:
-        """Objects that nobody holds and that lie on part ``k`` or on one that hangs on it, each with the joint of that part."""
+        """Return objects that nobody holds, on part ``k`` or parts below it, with the joint of that part."""
         feet = self.objects.poses[:, :3] + np.array([[0.0, low, 0.0] for _, low, _ in self._extents]).reshape(-1, 3)
         found: dict[int, int] = {}
         for j in self._carried(k):
@@ -295,7 +295,7 @@ def stands_clear(stands: Array, points: Array, offsets: Sequence[float], radius_
 
 
 def _covered(points: Array, discs: Array) -> NDArray[np.bool_]:
-    """Which points [P, 2] are in one of some discs ``(x, z, radius)`` [N, 3]."""
+    """Return which points [P, 2] are in one of some discs ``(x, z, radius)`` [N, 3]."""
     gap = np.hypot(points[:, None, 0] - discs[:, 0], points[:, None, 1] - discs[:, 1])
     return np.any(gap < np.maximum(discs[:, 2] - OPENING.passes_m, 0.0), axis=1)
 

@@ -65,7 +65,7 @@ def within_reach(scene: Scene, receptacle: str, point: Array) -> ReachQuery | No
 def _opened(
     scene: Scene, needed: tuple[int, ...]
 ) -> tuple[Scene, Array, NDArray[np.float64], tuple[tuple[ArticulatedParts, int], ...]] | None:
-    """Home with some parts open.
+    """Return the home with some parts open.
 
     Returns:
         The home; the motions of all parts [J, 4, 4]; points on the open parts; and each opened part with the home before it

@@ -44,7 +44,7 @@ class SubGoals:
 
     oracle: OracleSpec
     to_start: Sequence[PathTable]
-    """Paths to the initial place of each object."""
+    """Paths to the initial place of each object; ``to_goal`` has the paths to its goal."""
     to_goal: Sequence[PathTable]
     starts: Array
     """Initial positions of the objects [K, 3] [m]."""
@@ -117,7 +117,7 @@ class OracleRobot(RobotActor):
         return self._error_to(errand.point[[0, 2]], reach_bearing(self.robot))
 
     def _go(self, errand: SubGoal) -> Skill:
-        """Drive along a path, and at its end turn until the hand points at what it came for."""
+        """Drive along a path, and at its end turn until the hand points at its target."""
         ways, (number, best, since) = errand.ways, (errand.ways.start(self.xz), np.inf, 0)
         while since <= STUCK_STEPS:
             before = number
@@ -181,7 +181,7 @@ class OraclePerson(PersonActor):
         return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
 
     def _go(self, errand: SubGoal) -> Skill:
-        """Walks straight from corner to corner, turning on the spot at each, and at the end turns to what they came for."""
+        """Walk straight from corner to corner, turning on the spot at each, and turn to the target at the end."""
         ways, number, within = errand.ways, errand.ways.start(self.xz), self.spec.arrive_m
         # no count of stalled steps as for robots: nobody is in their way, and the legs of the path are free
         while True:

@@ -173,7 +173,7 @@ def _sees_all(graph: Graph, samples: NDArray, x: float, z: float) -> bool:
 
 @kernel()
 def _cell_corners(graph: Graph, middles: NDArray, samples: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """`FloorCells.start`, ``corners``, ``away`` and ``whole``."""
+    """Return `FloorCells.start`, ``corners``, ``away`` and ``whole``."""
     start = np.zeros(len(middles) + 1, np.int64)
     corners, away, whole = np.empty(4096, np.int32), np.empty(4096), np.empty(4096, np.bool_)
     for c in range(len(middles)):

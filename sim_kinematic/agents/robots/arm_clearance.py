@@ -109,7 +109,7 @@ class ArmClearance:
         return float(floor_heights(self._heights, self._floor_y, stand[:2]))
 
     def _drawer_of(self, point: Array) -> set[str]:
-        """The drawer in which a world point [3] lies, if there is one."""
+        """Return the drawer in which a world point [3] lies, if there is one."""
         return supports(self._scenery, point) & self._drawers if self._drawers else set()
 
     def is_clear(self, stand: Array, point: Array) -> bool:
@@ -134,7 +134,7 @@ class ArmClearance:
         )
 
     def _way(self, distance: float, height: float) -> tuple[Array, Array] | None:
-        """Frames of the shapes of the hand [T, H, 4, 4] and arm [T + 1, S, 4, 4] while it reaches, in the root frame.
+        """Return frames of the shapes of hand [T, H, 4, 4] and arm [T + 1, S, 4, 4] in a reach, in the root frame.
 
         The target is ``distance`` ahead and ``height`` above the floor [m], so that stands on one ring around a point
         share the frames. Returns None if the arm does not reach it.
@@ -158,7 +158,7 @@ class ArmClearance:
 def _remembered(
     answers: dict[tuple[bytes, bytes], bool], ask: Callable[[Array, Array], bool], stand: Array, point: Array
 ) -> bool:
-    """The answer for a stand and a point, asked once: objects and their goals are gone to again and again."""
+    """Return the cached answer for a stand and a point, because objects and goals are approached repeatedly."""
     asked = np.asarray(stand, np.float64).tobytes(), np.asarray(point, np.float64).tobytes()
     if asked not in answers:
         if len(answers) >= CLEARANCE.answers_kept:
@@ -184,7 +184,7 @@ def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
 
 @lru_cache(maxsize=8)
 def _arm_paths(robot: Robot) -> dict[tuple[float, float], tuple[Array, Array] | None]:
-    """Paths of a robot's arm that `ArmClearance._way` has computed, shared between homes."""
+    """Return the paths of a robot's arm that `ArmClearance._way` has computed, shared between homes."""
     # only the key of the cache
     del robot
     return {}

@@ -91,7 +91,7 @@ class RobotDriver:
         self._folded_m = float(np.hypot(*self._hand_in_root(self.robot.rest)[[0, 2]])) if self._arm.size else 0.0
         self.footprint: Footprint = footprint_of(self.base)
         self._target = 0.0, 0.0
-        """The command to which it speeds up."""
+        """Command to which the robot speeds up."""
         self._commands: list[tuple[float, float]] = []
         """Rest of a maneuver by which it steps aside."""
         self._numbers: tuple[BaseSpec | None, tuple[Any, ...]] = None, ()
@@ -103,7 +103,7 @@ class RobotDriver:
         self._stands: dict[tuple[FreeSpace, BaseSpec, int, bytes], Array] = {}
         """Stands found before, by floor, base, island and the point to be reached; skills look for the same ones again."""
         self._gave_up: list[NDArray] = []
-        """Places [2] that it did not get to; next time it goes elsewhere, if it can."""
+        """Places [2] that the robot could not reach; next time it goes elsewhere, if possible."""
         self._planned: tuple[tuple[Any, ...], list[list[float]]] = (), []
         """Question of the last search for a maneuver, and the commands that it found."""
         self._held_up = np.full(3, np.inf), 0
@@ -145,7 +145,7 @@ class RobotDriver:
         return self._start
 
     def _announce(self, via: NDArray, goal: NDArray) -> None:
-        """Lets the others know by which points it goes on from here."""
+        """Inform the others of the points by which the robot continues from here."""
         # a view of the state, which may have changed by the time that somebody reads the path
         xz = self.xz.copy()
 
@@ -174,7 +174,7 @@ class RobotDriver:
         return out
 
     def _hand_in_root(self, joints: NDArray) -> Array:
-        """The point at which the hand holds things in the agent root frame [3] at joint positions [J]."""
+        """Return the point at which the hand holds things in the agent root frame [3] at joint positions [J]."""
         frame = self.robot.link_matrices(IDENTITY_POSE[None], joints[None])[0, self.robot.hand_link]
         return frame[:3, 3] + frame[:3, :3] @ self.robot.hand_position
 
@@ -194,7 +194,7 @@ class RobotDriver:
         return SkillResult("done")
 
     def _wait(self, steps: int) -> Skill:
-        """Stand where nobody needs the floor."""
+        """Stand at a place that no other agent needs."""
         # agents that agree are asked to step aside when somebody comes, so they need no retreat
         goal = None if self.agreed else retreat_place(self.free, self.xz, self.others, wider_m=wider_by(self.base))
         for _ in range(steps):
@@ -208,7 +208,7 @@ class RobotDriver:
         return SkillResult("done")
 
     def _step_aside(self) -> None:
-        """Goes one step aside, or stands there."""
+        """Go one step aside, or stand if there is no room."""
         if self.aside is None or not len(self.aside):
             self._step(0.0, 0.0)
             return
@@ -225,7 +225,7 @@ class RobotDriver:
             self._drive(self.aside[0])
 
     def _drive(self, towards: NDArray, left_m: float = np.inf) -> None:
-        """Drives one step towards a floor point [2]; ``left_m`` is the length of the path on which it brakes [m]."""
+        """Drive one step towards a floor point [2]; ``left_m`` is the length of the path on which it brakes [m]."""
         (x, z), (to_x, to_z), (limits, stride_m) = self.xz.tolist(), towards.tolist(), (self.base, self._stride_m)
         error, turned = self._error_to(towards), limits.max_turn_rad_s * STEP_S * float(np.hypot(to_x - x, to_z - z))
         ahead, aside = max(0.0, float(np.cos(error))) ** 2, abs(float(np.sin(error)))
@@ -293,11 +293,11 @@ class RobotDriver:
 
     @property
     def _looks_around(self) -> bool:
-        """Returns whether somebody may be in its path: a base that maneuvers thinks of those alone who are near."""
+        """Return whether another agent may be in its path; bases that maneuver consider only agents that are near."""
         return bool(self._seen() if self.base.maneuvers else self.others)
 
     def _maneuver(self, goal: NDArray, bearing: float | None = None) -> Generator[None, None, bool]:
-        """Gets on towards a floor point [2] where it is stuck; returns whether it did all of a maneuver, if it found one."""
+        """Maneuver towards a floor point [2] where the robot is stuck; return whether a whole maneuver was done."""
         # the plan holds for the others where they are now
         stood = {other.number: other.xz for other in self._seen()}
         commands = self._maneuver_to(goal, bearing)
@@ -315,7 +315,7 @@ class RobotDriver:
         return len(commands) > 0
 
     def _maneuver_to(self, goal: NDArray, bearing: float | None = None) -> list[tuple[float, float]]:
-        """Commands that lead towards a floor point [2] around all agents that are near; none if there are none."""
+        """Return the commands that lead towards a floor point [2] around all agents that are near, or none."""
         if not self.base.maneuvers:
             return []
         discs = np.concatenate([np.zeros((0, 3)), *map(discs_of, self._seen())])
@@ -329,7 +329,7 @@ class RobotDriver:
         return [(forward, turn) for forward, turn in self._planned[1]]
 
     def _via(self, goal: NDArray) -> NDArray:
-        """Points [N, 2] by which it first goes to a floor point [2]: none, unless it was turned away."""
+        """Return points [N, 2] by which the robot first goes to a floor point [2]: none, unless it was turned away."""
         detour = self._detour(goal) if self._goes_around else None
         return NO_PATH if detour is None else detour[:-1]
 
@@ -345,30 +345,30 @@ class RobotDriver:
 
     @property
     def _stride_m(self) -> float:
-        """The longest distance of one step."""
+        """Longest distance of one step."""
         return self.base.max_speed_mps * STEP_S
 
     def _turn(self, error: float) -> float:
-        """The command that removes a heading error [rad] in one step, if the limit allows and there is no need to brake."""
+        """Return the command that removes a heading error [rad] in one step, if no limit or braking prevents it."""
         most, limit = 1.0, self.base.max_turn_rad_s
         if self.base.maneuvers:
             most = min(most, braking_speed(AVOIDANCE.turn_accel_rad_s2, abs(error)) / limit)
         return min(max(error / (limit * STEP_S), -most), most)
 
     def _leg(self, goal: NDArray) -> tuple[float, NDArray]:
-        """Length of the path to a floor point [2] [m], and where to drive first; infinity and the point where there is none."""
+        """Return the length of the path to a floor point [2] [m], or infinity, and the point to drive to first."""
         # nearer points are passed over: an inflated corner is an arc of points 5 cm apart
         length, waypoint = self.free.first_leg(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
         return length, goal if math.isinf(length) else waypoint
 
     def _error_to(self, xz: NDArray, bearing: float = 0.0) -> float:
-        """By how much it must turn to have a floor point [2] at a bearing to its left [rad]."""
+        """Return by how much the robot must turn to have a floor point [2] at a bearing to its left [rad]."""
         (x, z), (goal_x, goal_z) = self.xz.tolist(), xz.tolist()
         dx, dz = goal_x - x, goal_z - z
         return float(wrap_angle(np.arctan2(-dz, dx) - bearing - self.heading))
 
     def _seen(self) -> list[ObservedAgent]:
-        """Other agents that are near enough for `keep_clear`.
+        """Return the other agents that are near enough for `keep_clear`.
 
         One that holds something counts as moving, however long it has been standing.
         """
@@ -383,7 +383,7 @@ class RobotDriver:
     def _step(
         self, forward: float, turn: float, towards: NDArray | None = None, *, avoid: bool = True, eases: bool = True
     ) -> None:
-        """Moves base, arm and what is held by one step; nothing moves that would touch another agent.
+        """Move base, arm and held object by one step, unless the motion would touch another agent.
 
         Where it avoids others it ``eases`` into commands, as far as its base does so.
         """
@@ -416,7 +416,7 @@ class RobotDriver:
             self.objects.poses[k] = pose_multiply(self.hand_pose, self.objects.state.grip_pose[0, k])
 
     def _move_arm(self, joints: NDArray) -> None:
-        """Moves the arm from joint positions [J] by one step towards its goal."""
+        """Move the arm from joint positions [J] by one step towards its goal."""
         most, arm = self.arm_rad_s * STEP_S, joints[self._arm]
         missing = self.arm_goal[self._arm] - arm
         far = max(map(abs, missing.tolist()), default=0.0)
@@ -425,7 +425,7 @@ class RobotDriver:
             self.joints[self._arm] = self.arm_goal[self._arm] if far <= most else arm + missing * (most / far)
 
     def _choose_base(self) -> None:
-        """Has the base keep clear by what the hand carries too, from where it has the room for that."""
+        """Let the base also keep clear by the held object, once there is room for it."""
         # the same record: the discs of the base cover what is carried already
         if self._carrying_base is self.empty_base:
             return
@@ -436,7 +436,7 @@ class RobotDriver:
 
 
 def _has_come_near(other: ObservedAgent, stood: dict[int, NDArray], xz: NDArray) -> bool:
-    """Returns whether another agent has moved since a maneuver was planned, and is near the robot at ``xz`` [2]."""
+    """Return whether another agent has moved since a maneuver was planned, and is near the robot at ``xz`` [2]."""
     if float(np.hypot(*(other.xz - xz))) > AVOIDANCE.retreat_m:
         return False
     # who is new was too far away to be planned around

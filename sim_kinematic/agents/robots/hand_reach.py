@@ -38,7 +38,8 @@ class HandReachSpec:
     heights_m: tuple[float, ...] = (0.45, 0.75, 0.95)
     """Heights of tables and counters for which the direction is chosen [m]."""
     aside_rad: tuple[float, ...] = (0.0, np.pi / 4, -np.pi / 4, np.pi / 2, -np.pi / 2)
-    """Directions in which a robot takes handles that its base cannot turn to face, relative to its reaching direction [rad]."""
+    """Directions, relative to the reaching direction, in which a robot takes a handle that its base cannot turn towards
+    [rad]."""
     reach_slack_m: float = 0.01
     """Largest distance of a hand from its target at which the target counts as reached [m], far above the search's
     tolerances."""
@@ -83,12 +84,12 @@ class _StretchedArm(NamedTuple):
     """Reach of a stretched arm."""
 
     shoulder: Array
-    """Position of its first joint in the agent root frame [3] [m]."""
+    """Position of the arm's first joint in the agent root frame [3] [m]."""
     wrist: Array
     """Position of the last point whose place follows from the pose of the hand, from there, in the frame of the hand's link [3]
     [m]."""
     length_m: float
-    """Largest distance from one to the other [m]."""
+    """Largest distance from the shoulder to the wrist [m]."""
 
 
 @lru_cache(maxsize=32)
@@ -121,7 +122,7 @@ def _stretched_arm(robot: Robot) -> _StretchedArm:
 
 
 def _travel(robot: Robot, link: int) -> float:
-    """Returns the farthest that a joint slides from the modelled origin of its link [m]."""
+    """Return the farthest that a joint slides from the modelled origin of its link [m]."""
     if robot.kinds[link] != SLIDES:
         return 0.0
     column = robot.columns[link]
@@ -185,7 +186,7 @@ def hand_target(robot: Robot, distance_m: float, height_m: float) -> Array:
 
 
 def _turned_left(angle: float) -> NDArray[np.float64]:
-    """Rotation about the upward axis."""
+    """Return the rotation about the upward axis."""
     if angle == 0:
         return np.eye(3)
     c, s = np.cos(angle), np.sin(angle)
@@ -194,7 +195,7 @@ def _turned_left(angle: float) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=32)
 def _with_free_yaw(robot: Robot) -> Robot:
-    """A robot whose hand turns freely about what is vertical when it picks, through where it holds things: one more joint."""
+    """Return a robot whose hand turns freely about the vertical axis at the grip when it picks: with one more joint."""
     c, s = np.cos(HAND_REACH.hand_pitch_rad), np.sin(HAND_REACH.hand_pitch_rad)
     # of a hand that is pitched by p, up is sin p times ahead plus cos p times its own up
     vertical = robot.hand_axes @ np.array([s, 0.0, c])

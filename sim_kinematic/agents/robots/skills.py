@@ -46,7 +46,7 @@ def checked_command(command: ArrayLike, robot: Robot) -> Array:
     """Return a low-level command clipped to -1..1: base [2], arm [n], and grip [1].
 
     Raises:
-        InputError: It has another length or is not finite, or the robot has no arm.
+        InputError: The command has another length or is not finite, or the robot has no arm.
     """
     count = len(robot.require_arm()) + 3
     try:
@@ -86,7 +86,7 @@ class RobotActor(RobotDriver):
         return "" if is_open else "no_room"
 
     def _barred(self, openables: ArticulatedParts, action: Action) -> str:
-        """Reason why doors and drawers stand against an action."""
+        """Return the reason why doors and drawers block an action."""
         k = action.target
         if action.skill in ("open", "close"):
             why = why_not(openables, self.number, action)
@@ -121,7 +121,7 @@ class RobotActor(RobotDriver):
         return self._reach(self._pick(k) if action.skill == "pick" else self._place(k))
 
     def _control(self, command: ArrayLike) -> Skill:
-        """Moves one step by base velocity, arm joints and grip, without avoidance."""
+        """Move one step by base velocity, arm joints and grip, without avoidance."""
         state, robot, rules = self.objects.state, self.robot, ArmSpec(grasp_m=self.grip_m)
         action = checked_command(command, robot)
         self.command = float(action[0]), float(action[1])
@@ -178,7 +178,7 @@ class RobotActor(RobotDriver):
         return pose_multiply(self.pose, np.append(at, [0, 0, 0, 1.0]))[:3]
 
     def _navigate(self, point: NDArray) -> Skill:
-        """Drives to where the hand reaches a world point [3], and turns for it."""
+        """Drive to where the hand reaches a world point [3], and turn to it."""
         stands = self.stands(point)
         if not len(stands):  # with what it carries it cannot turn all around anywhere there: `lift_arm` with a box
             stands = self.stands(point, self.empty_base)
@@ -198,7 +198,7 @@ class RobotActor(RobotDriver):
         return ending
 
     def _look_at(self, point: NDArray) -> Skill:
-        """Drives to the floor before a world point [3], and turns to it."""
+        """Drive to the floor before a world point [3], and turn to it."""
         goal = self.free.snap(point[[0, 2]])
         if not np.isfinite(self.free.geodesic(self.xz, goal)):
             return SkillResult("failed", "no_way")
@@ -220,7 +220,7 @@ class RobotActor(RobotDriver):
         return self.stands(point, free=free)
 
     def _navigate_to_handle(self, k: int) -> Skill:
-        """Drives to where the hand reaches a handle, if possible along its whole way, and turns for it."""
+        """Drive to where the hand reaches a handle, if possible along its whole path, and turn to it."""
         assert self.openables is not None
         way = handle_path(self.openables, k, full_travel(self.openables, k))
         stands = self.stands(way[0])
@@ -249,7 +249,7 @@ class RobotActor(RobotDriver):
         return (yield from self.drive_to(stands[n, :2], facing=facing))
 
     def _straightest(self, stands: Array) -> int:
-        """Index of the stand ``(x, z, heading)`` [N, 3] with the least cost of path and turning at its end.
+        """Return the index of the stand ``(x, z, heading)`` [N, 3] with the least cost of path and turning at its end.
 
         Stands close to other agents cost more. Returns -1 if the robot can reach none.
         """
@@ -266,7 +266,7 @@ class RobotActor(RobotDriver):
         return best
 
     def _move_part(self, k: int, *, opens: bool) -> Skill:
-        """Opens or closes a part: the hand takes its handle and leads it as far as the arm reaches."""
+        """Open or close a part: the hand takes its handle and leads it as far as the arm reaches."""
         assert self.openables is not None
         leading = Leading(self.openables, k, opens=opens)
         held = self._hold(leading.handles[0])
@@ -292,7 +292,7 @@ class RobotActor(RobotDriver):
         return SkillResult("done")
 
     def _stand_with_room(self, stands: Array, point: NDArray) -> tuple[int, float]:
-        """Nearest stand, as `nearest_stand` returns it, from which the arm reaches a world point [3] without contact.
+        """Return nearest stand, as `nearest_stand` does, from which the arm reaches a world point [3] without contact.
 
         If there is none, one from which at least the line to the point is open.
         """
@@ -310,7 +310,7 @@ class RobotActor(RobotDriver):
         return nearest
 
     def _crowded(self, stands: Array) -> NDArray[np.integer]:
-        """Rates how close the robot would be to another agent at each stand, [N].
+        """Rate how close the robot would be to another agent at each stand, [N].
 
         1 is within the margin; 2 is contact, or no path to the stand for a robot that was turned away from it before.
         """
@@ -325,7 +325,7 @@ class RobotActor(RobotDriver):
         return crowded
 
     def _reach(self, skill: Skill) -> Skill:
-        """Skill whose arm folds while the base drives on, when it has ended or is interrupted.
+        """Return a skill whose arm folds while the base drives on, when the skill has ended or is interrupted.
 
         An arm that stayed out once stood 6 cm inside a wall for 146 steps.
         """
@@ -357,7 +357,7 @@ class RobotActor(RobotDriver):
         return SkillResult("done")
 
     def _fold_arm(self) -> Generator[None, None, None]:
-        """Folds the arm and stands until the hand is nearly over the base.
+        """Fold the arm and stand until the hand is nearly over the base.
 
         Without this, a robot drove off with its arm stretched out, and its hand got 6 cm into a wall.
         """
@@ -370,7 +370,7 @@ class RobotActor(RobotDriver):
             yield
 
     def _hand_target(self, action: Action) -> Array:
-        """pose7 of the hand, in the agent root frame, for a pick or a place."""
+        """Return pose7 of the hand, in the agent root frame, for a pick or a place."""
         k = action.target
         there = self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k]
         hand = self._hand_at(there)
@@ -382,7 +382,7 @@ class RobotActor(RobotDriver):
         return np.concatenate([hand[:3] - turned[:3], hand[3:]])
 
     def _hand_at(self, point: NDArray, robot: Robot | None = None) -> Array:
-        """pose7 of the hand in the agent root frame, with its grip at a world point [3].
+        """Return pose7 of the hand in the agent root frame, with its grip at a world point [3].
 
         The hand is turned like that of ``robot``, a version of the body that may reach to the side (`aimed`).
         """
@@ -390,7 +390,7 @@ class RobotActor(RobotDriver):
         return np.concatenate([local[:3], hand_turn(robot or self.robot)])
 
     def _hold(self, handle: NDArray) -> tuple[Robot, Array] | None:
-        """Returns the reach and posture with which it takes a handle at a world point [3]; None if it cannot from here."""
+        """Return reach and posture with which the hand takes a handle at a world point [3]; None if it cannot."""
         for aside in HAND_REACH.aside_rad:
             robot = aimed(self.robot, aside)
             posture = self._posture(self._hand_at(handle, robot))
@@ -405,18 +405,18 @@ class RobotActor(RobotDriver):
         return answer.joint_pos if answer.reached else None
 
     def _reach_line(self, hand: Array) -> tuple[Array, Array]:
-        """Postures over the target and at it."""
+        """Return the postures over the target and at it."""
         line = reach_line(self.robot, hand)
         assert line is not None, "checked before it starts"
         return line
 
     @property
     def _is_instant(self) -> bool:
-        """Returns whether its arm takes no time, as in Habitat: then a pick or a place is one step, not one per posture."""
+        """Return whether the arm takes no time, as in Habitat; a pick or a place is then a single step."""
         return bool(np.isinf(self.arm_rad_s))
 
     def _bring_hand(self, over: Array, at: Array) -> Generator[None, None, None]:
-        """Brings the hand to its target; an instant arm is there before the step ends, so that this step can use it."""
+        """Bring the hand to its target; an instant arm is there before the step ends, so that this step can use it."""
         if not self._is_instant:
             yield from self._bring_arm(over)
             yield from self._bring_arm(at)
@@ -428,7 +428,7 @@ class RobotActor(RobotDriver):
             self._step(0.0, 0.0, avoid=False)
 
     def _withdraw_hand(self, over: Array) -> Generator[None, None, None]:
-        """Takes the hand back over the target; an instant arm ends the step where it is."""
+        """Take the hand back over the target; an instant arm ends the step where it is."""
         if self._is_instant:
             yield
         else:

@@ -66,7 +66,7 @@ class CrowdPolicy:
         return self._routine is not None
 
     def act(self, view: AgentView) -> PoseAction:
-        """Return the place after the next step."""
+        """Return the place of the person after the next step."""
         return self.move(view.crowds(), view.agent, view.step)
 
     def move(self, crowds: Crowds, agent: int, step: int) -> PoseAction:

@@ -113,7 +113,10 @@ class ResNetLSTM(nn.Module):
         features: int = 512,
         hidden: int = 512,
     ) -> None:
-        """Create a network for ``numbers`` and for pictures of a ``size`` (width, height) [pixels]or without them."""
+        """Create a network for ``numbers`` values, and for pictures of a ``size`` (width, height) [pixels].
+
+        If ``size`` is None, there are no pictures.
+        """
         super().__init__()
         self.visual = None if size is None else ResNet18(size, given=given, planes=planes, features=features)
         self.lstm = nn.LSTM((0 if size is None else features) + numbers, hidden, LAYERS)
@@ -175,7 +178,7 @@ class ResNetPolicy(VisualPolicy):
 
     @cached_property
     def _net(self) -> ResNetLSTM:
-        """The network with the weights of the file, made at the first evaluation."""
+        """Network with the weights of the file, made at the first evaluation."""
         net = _net(self.card, self.arrays)
         net.take(self.arrays)
         return net.eval()

@@ -157,7 +157,7 @@ class NetworkSkill:
     def _ending(
         self, actor: RobotActor, action: Action, point: Array, stand_xz: Array, before: tuple[Array, float], held: bool
     ) -> SkillResult | None:
-        """Return the result if the skill ended in the last step, by the rules of training; None if it goes on."""
+        """Return the result if the skill ended in the last step, by the rules of training; None if it continues."""
         rules, objects, k = self.rules, actor.objects, action.target
         if action.skill in ("nav_to_object", "nav_to_goal"):
             gap = point[[0, 2]] - actor.xz

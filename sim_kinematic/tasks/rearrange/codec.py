@@ -232,7 +232,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         targets: tuple[Target, ...],
         pair: tuple[str, str],
     ) -> tuple[Starts, bool]:
-        """Starts of the pair, and whether the file has them."""
+        """Return the starts of the pair, and whether the file has them."""
         known = [start for start in (record.robot_start, record.human_start) if start is not None]
         on_floor = starts_on_floor(place.free, known)
         if len(known) == 2:
@@ -480,7 +480,7 @@ def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
 
 
 def rules_from_json(rules: Mapping[str, Any], kind: type[RearrangeSpec] = RearrangeSpec) -> RearrangeSpec:
-    """Return the rules from JSON types, where rules that are not named are those of the paper.
+    """Return the rules from the JSON types of `rules_to_json`; rules that are not named are those of the paper.
 
     Raises:
         InputError: the rules are not rules of rearrangement.
@@ -517,7 +517,7 @@ def _partners(policies: Sequence[AssignedPolicy]) -> str:
 
 
 def _starts(episode: RearrangeEpisode) -> dict[str, list[Any]]:
-    """Starts ``(x, z, heading)``: of robot and person as sampled, else of each agent."""
+    """Return the starts ``(x, z, heading)``: of robot and person as sampled, else of each agent."""
     if kinds_of(episode.roster) in (PAIR, ("human",)):
         robot, human = episode.pair_starts.places.tolist()
         return {"robot_start": robot, "human_start": human}

@@ -112,16 +112,16 @@ class RearrangeSpec:
     from which the identity of episodes is derived."""
 
     solid_agents: bool = field(default=False, repr=False)
-    """True if a person under commands slides along the discs of others as along walls, and also gives way to a single
-    robot."""
+    """True if a person under commands slides along the discs of others as along walls (as in
+    `sim_kinematic.motion.spec.SocialNavSpec`), and also gives way to a single robot."""
     floor_moves: bool = field(default=False, repr=False)
     """True if doors and drawers change the free floor when they open and close. This holds for all episodes that are
     sampled in homes with such parts; episodes from before version 0.3 do not have the rule."""
     oracle: OracleSpec | None = field(default=None, repr=False)
     """Rules of simplified skills like Habitat's oracle skills (see `ORACLE_RULES`); None for full skills."""
     observe: str = field(default="full", repr=False)
-    """Knowledge of policies. With ``full``, they know where all objects are; with ``seen``, only where those are that
-    the agent itself has seen (`sim_kinematic.sensing.sight`)."""
+    """Knowledge of policies. With ``full``, they know the positions of all objects; with ``seen``, only of the objects
+    that the agent itself has seen (`sim_kinematic.sensing.sight`)."""
     parts: int = field(default=0, repr=False)
     """Number of doors and drawers that agents may choose to open by number, which are those of `Rearrange.parts_of`."""
     skills: str = field(default="", repr=False)
@@ -382,7 +382,7 @@ class _EpisodeSampler:
     doorways: RoomDoors
     """Doors between the rooms of the home, all of which are open in ``scene`` and ``free``."""
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
-    """A person's, by point."""
+    """Stands of a person by point."""
     _openable: dict[int, bool] = field(default_factory=dict)
     """True if both agents open a part, by joint."""
 
@@ -518,7 +518,7 @@ class _EpisodeSampler:
         return self.free.geodesic(np.broadcast_to(here, self._centers.shape), self._centers, max_snap_m=SNAP_M)
 
     def _person_stand(self, place: ReachQuery, here: Array | None = None) -> tuple[Array | None, float]:
-        """Pose [3] from which the person's hand reaches a place without the body touching the home, and the path length to it.
+        """Return pose [3] from which the hand reaches a place without the body touching the home, and the path length.
 
         It is the nearest such pose to ``here`` [2]. Returns None and infinity if there is none.
         """

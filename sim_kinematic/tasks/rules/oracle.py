@@ -1,4 +1,4 @@
-"""Oracle for the metrics SPS and F: the least steps in which a robot that knows the person's future finds them."""
+"""Oracle for the metrics SPS and F: the fewest steps in which a robot that knows a person's future can find them."""
 
 from __future__ import annotations
 

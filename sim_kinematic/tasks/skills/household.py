@@ -81,7 +81,7 @@ class Household(Team):
         self.is_quiet = False
         """True if no object changed hands or came to its goal in the last step, and no agents touched."""
         self._apart = np.zeros((1, len(play.world.pairs)), np.bool_)
-        """Value of `World.touching` when no agents touch."""
+        """Value of `World.touching` if no agents touch."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
         """Put the agents and the things of the home at their places at the start of an episode."""
@@ -157,7 +157,7 @@ class Household(Team):
     def _actor(self, number: int) -> RobotActor | PersonActor:
         """Return the actor that carries out the skills of an agent.
 
-        The rules choose between learned and oracle skills. A person whom somebody drives from outside has an actor of its own.
+        The rules choose between learned and oracle skills. A person who is driven from outside has a separate actor.
         """
         world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
         if isinstance(body, Robot):
@@ -436,7 +436,7 @@ class Household(Team):
         return choices(len(self.starts), robot=isinstance(self.actors[agent], RobotActor), parts=self.parts)
 
     def _known(self, agent: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_], Places | None]:
-        """Positions, holders, and which are at their goals, of all things as an agent knows them, and places to look at."""
+        """Return positions, holders, and which things are at goals, as an agent knows them, and places to look at."""
         objects, sight = self.objects, self.objects.sight
         if sight is None:
             return objects.poses[:, :3].copy(), objects.held_by.copy(), self._at_goal(), None
@@ -640,7 +640,7 @@ class Household(Team):
 
 @kernel(error_model="numpy")
 def _reached(poses, goals, held_by, within, at_goal):
-    """Return whether objects with poses [K, 7] that nobody holds are ``within`` [m] of goals [K, 3], into ``at_goal`` [K]."""
+    """Write to ``at_goal`` [K] whether free objects with poses [K, 7] are ``within`` [m] of goals [K, 3]."""
     for k in range(len(goals)):
         dx, dy, dz = poses[k, 0] - goals[k, 0], poses[k, 1] - goals[k, 1], poses[k, 2] - goals[k, 2]
         # strictly nearer, in three dimensions, as Habitat's object_at

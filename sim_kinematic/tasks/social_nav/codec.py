@@ -191,7 +191,7 @@ def goals_of(episode: Episode) -> tuple[tuple[float, float], ...]:
 
 @lru_cache(maxsize=4)
 def plan_of(episode: Episode) -> HumanPlan:
-    """Return the whole walk of the scripted person, from the start to the time limitof an episode."""
+    """Return the whole walk of the scripted person, from the start to the time limit of an episode."""
     x, z, heading = episode.starts[HUMAN]
     return human_plan(
         episode.free,

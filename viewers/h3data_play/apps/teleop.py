@@ -46,7 +46,7 @@ class TeleopApp(RearrangeApp):
         return Hud(task=hud.task, left_s=hud.left_s, lines=(*hud.lines, self._hand(number), counts))
 
     def _hand(self, number: int) -> str:
-        """Returns what the gripper holds, or the distance of the nearest thing that is not at its goal yet."""
+        """Return the text about the held object, or the distance of the nearest object that is not at its goal yet."""
         objects = self.session.play.team.objects  # type: ignore[attr-defined]
         number = number if number in self.drivers else next(iter(self.drivers), 0)
         held = objects.held(number)

@@ -135,7 +135,7 @@ class TutorialApp(RearrangeApp):
         return "Drive" if self.session.episode.roster[max(number, 0)].kind == "robot" else "Walk"
 
     def _mark(self, number: int) -> Array:
-        """A point of the floor on the longer one of the paths to the thing and to its place."""
+        """Return a point of the floor on the longer one of the paths to the thing and to its place."""
         target = self.session.episode.targets[0]  # type: ignore[attr-defined]
         start, free = self.session.episode.starts[number, :2], self.session.episode.floor(number)
         paths = [free.path(start, point[[0, 2]], max_snap_m=SNAP_M) for point in (target.start, target.goal)]
@@ -154,7 +154,7 @@ def _length(path: Array) -> float:
 
 
 def _along(path: Array, metres: float) -> Array:
-    """The point at a distance along a path [N, 2]."""
+    """Return the point at a distance along a path [N, 2]."""
     for a, b in pairwise(path):
         leg = float(np.hypot(*(b - a)))
         if metres <= leg:

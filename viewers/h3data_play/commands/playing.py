@@ -176,7 +176,7 @@ class Play:
         }
 
     def _claim(self, out: Path) -> bool:
-        """Creates the folder; True if it holds a session that was killed, which goes on."""
+        """Create the folder; return True if it holds a killed session, which is continued."""
         from h3data_play.seats import JOURNAL
 
         plan, file = msgspec.json.encode(self._plan(out)), out / PLAN
@@ -194,7 +194,7 @@ class Play:
         return False
 
     def _serve(self, out: Path) -> tuple[list[list[str]], list[dict[str, Any]]]:
-        """Runs the server until it ends; returns the links of the seats and how the episodes ended."""
+        """Run the server until it ends; return the links of the seats and how the episodes ended."""
         links: list[list[str]] = []
         overs: list[dict[str, Any]] = []
         run_server(
@@ -234,7 +234,7 @@ def _named(overs: list[dict[str, Any]]) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _measured(files: list[Path]) -> Any:
-    """Metrics of the recordings; None where there are none."""
+    """Return the metrics of the recordings; None where there are none."""
     from h3data.metrics import measure_many
     from h3data.recording import read_mcap
 

@@ -220,14 +220,14 @@ def analyse_study(
 
 
 class _Analyser:
-    """Fits one metric after the other and collects notes."""
+    """Analyser that fits one metric after the other and collects notes."""
 
     def __init__(self, episodes: Sequence[EpisodeMetrics], conditions: Sequence[str], model: StudyModel) -> None:
         self._episodes, self._conditions, self._model = episodes, conditions, model
         self.notes: list[str] = []
 
     def steps_models(self, metric: Metric) -> tuple[FittedMeans, ...]:
-        """The chosen model of a count of steps, and a sound one beside it where that one is not."""
+        """Return the chosen model of a count of steps, and a sound one as well if that model is not sound."""
         values = self._steps(metric)
         try:
             plain = self._fitted(metric, values, "Poisson", observation=False)
@@ -249,14 +249,14 @@ class _Analyser:
         return tuple(models)
 
     def from_means(self, metric: Metric, means: MarginalMeans) -> dict[str, Estimate]:
-        """Estimates of a fitted model."""
+        """Return the estimates of a fitted model."""
         return {
             c: Estimate(mean=float(m), low=float(a), high=float(b), episodes=len(self._defined(metric, c)))
             for c, m, (a, b) in zip(means.levels, means.means, means.intervals(), strict=True)
         }
 
     def efficiency(self, metric: Metric, means: MarginalMeans | None) -> dict[str, Estimate]:
-        """RE in percent of the condition in which people work alone, if there is one."""
+        """Return RE in percent of the condition in which people work alone, if there is one."""
         solo = next((c for c in (means.levels if means else ()) if _alone(c)), None)
         if means is None or solo is None:
             self.notes.append(f"{metric.name} needs a condition whose name begins with solo.")
@@ -265,7 +265,7 @@ class _Analyser:
         return {solo: Estimate(mean=100.0), **others}
 
     def plain(self, metric: Metric) -> dict[str, Estimate]:
-        """Means over episodes with bootstrap intervals, of 0/1 metrics with Wilson's."""
+        """Return the means over episodes with bootstrap intervals, of 0/1 metrics with Wilson's."""
         estimates: dict[str, Estimate] = {}
         for condition in self._conditions:
             values = self._defined(metric, condition)
@@ -277,7 +277,7 @@ class _Analyser:
         return estimates
 
     def rates(self, metric: Metric, estimates: dict[str, Estimate]) -> FittedMeans | None:
-        """Replaces the shares of a 0/1 metric by those of a binomial model, except 0 and 1, which have no log-odds."""
+        """Replace the shares of a 0/1 metric by those of a binomial model, except 0 and 1, which have no log-odds."""
         between = [c for c, e in estimates.items() if 0 < e.mean < 1]
         extreme = [c for c, e in estimates.items() if e.mean in (0, 1)]
         if extreme and between:
@@ -303,7 +303,7 @@ class _Analyser:
         return fitted
 
     def _steps(self, metric: Metric) -> dict[int, int]:
-        """Steps of each episode, by its identity; how many have none is noted."""
+        """Return the steps of each episode, by its identity, and note how many episodes have none."""
         steps = {id(e): int(v) for e in self._episodes if (v := e.values[metric.name]) == v}
         missing = [e for e in self._episodes if id(e) not in steps]
         if self._model.failed == "limit":
@@ -343,7 +343,7 @@ def without_hint(note: str) -> str:
 
 
 def _alone(condition: str) -> bool:
-    """Returns whether people work without a robot under a condition."""
+    """Return whether people work without a robot under a condition."""
     return condition.lower().startswith("solo")
 
 

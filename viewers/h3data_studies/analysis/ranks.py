@@ -62,14 +62,14 @@ def rank_table(runs: Sequence[Run]) -> Table | None:
 
 
 def _alone(human: Mapping[str, Sequence[ReportEpisode]], steps: str) -> float:
-    """Mean steps of people without a robot; NaN if nobody was alone."""
+    """Return the mean steps of people without a robot; NaN if no person was alone."""
     alone = [e.metrics.values[steps] for key, episodes in human.items() if key.startswith("solo") for e in episodes]
     known = [value for value in alone if value == value]
     return float(np.mean(known)) if known else NAN
 
 
 def _row(name: str, found: RankAgreement, steps: str, alone: float) -> Row:
-    """``steps``: by whose mean people's efficiency is ranked, and ``alone`` their mean without a robot, if it is known."""
+    """Return a row; efficiency is ranked by the mean of ``steps``, ``alone`` is their mean without a robot."""
     if not steps:
         people, small = _order(found.names, found.second_means), ""
     elif alone == alone:
@@ -90,7 +90,7 @@ def _row(name: str, found: RankAgreement, steps: str, alone: float) -> Row:
 
 
 def _order(names: Sequence[str], means: Sequence[float], *, sign: float = 1.0) -> str:
-    """``a 0.44, b 0.36``, largest first; with a ``sign`` of -1 the means are those of the negative quantity."""
+    """Return a ranking such as ``a 0.44, b 0.36``, largest first; with a ``sign`` of -1 the means are negated."""
     return ", ".join(f"{names[k]} {number(sign * means[k])}" for k in np.argsort(-np.asarray(means), kind="stable"))
 
 

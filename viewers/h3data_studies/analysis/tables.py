@@ -135,7 +135,7 @@ def _contrast_table(task: str, analysis: StudyAnalysis, layout: StudyLayout) -> 
 
 
 def _contrasts(model: FittedMeans, order: Sequence[str]) -> dict[str, list[Cell]]:
-    """Difference and p of each pair of conditions, the first in ``order`` first: that of the larger mean, as in the paper."""
+    """Return the difference and p of each pair of conditions; the first has the larger mean, as in the paper."""
     cells = {}
     for c in model.differences:
         names, difference = (c.first, c.second), (c.difference, c.low, c.high)
@@ -149,7 +149,7 @@ def _contrasts(model: FittedMeans, order: Sequence[str]) -> dict[str, list[Cell]
 
 
 def _key_of(table: str, task: str) -> str:
-    """Key of a table of a study: ``hitl`` for rearrangement, the paper's task, ``hitl_<task>`` for others."""
+    """Return the key of a table of a study: ``hitl`` for rearrangement, the paper's task, else ``hitl_<task>``."""
     return table if task == REARRANGEMENT_PROFILE.tasks[0] else f"{table}_{task}"
 
 

@@ -152,7 +152,7 @@ class Client:
         """Wait until ``what()`` is true, and return its value.
 
         Raises:
-            TimeoutError: it is still false after ``seconds`` [s].
+            TimeoutError: the value is still false after ``seconds`` [s].
             ConnectionError: the connection was closed while waiting.
         """
         end = time.monotonic() + seconds

@@ -123,7 +123,7 @@ class ScriptedParticipant(Client):
         return answers
 
     async def _ask(self, path: str, body: dict[str, Any] | None = None) -> None:
-        """Posts something and keeps the view; asks again while the machine is busy.
+        """Post a request and store the returned view; repeat the request while the server is busy.
 
         Raises:
             ConnectionError: it was refused for good.
@@ -140,7 +140,7 @@ class ScriptedParticipant(Client):
 
     # --- an episode ---------------------------------------------------------------------------------------------------
     async def _episode(self, *, is_tutorial: bool) -> None:
-        """Plays the episode that is next to its end, through lost connections."""
+        """Play the next episode to its end, also when connections are lost."""
         while True:
             status = await self.sit()
             while status == 503:
@@ -170,7 +170,7 @@ class ScriptedParticipant(Client):
             return
 
     async def _play(self) -> None:
-        """Decides until the episode is over, and answers the question that follows."""
+        """Make decisions until the episode is over, and answer the question that follows."""
         self.tried: set[int] = set()
         while not self.over:
             await self._pause(self.chance.randint(*REACTION_STEPS))
@@ -189,7 +189,7 @@ class ScriptedParticipant(Client):
                 await self._fetch()
 
     async def _fetch(self) -> None:
-        """Takes the nearest object that is not at its goal, once the object and its goal are not enclosed.
+        """Take the nearest object that is not at its goal, once the object and its goal are not enclosed.
 
         Waits while another agent has all of them.
         """
@@ -211,7 +211,7 @@ class ScriptedParticipant(Client):
             await self._face(self.things[nearest].position)  # the tutorial asks for it
 
     async def _words(self) -> None:
-        """Does the next thing of an instruction in words, as far as names in it tell; ends the task when nothing is left.
+        """Do the next part of an instruction in words, as far as names in it tell; end the task when nothing is left.
 
         It knows no grammar, and completes the simple ones of the tasks.
         """
@@ -244,7 +244,7 @@ class ScriptedParticipant(Client):
             await self.until(lambda: self.over, LATE_S)
 
     async def _bring(self, task: str) -> None:
-        """Brings what the bot holds to a place of which the name is in the instruction, or lets go of it."""
+        """Bring the held object to a place whose name is in the instruction, or drop it."""
         held = self.mine
         spots = [spot for spot in self.manifest["spots"] if _noun(spot["label"]) in task]
         # things come from where an instruction names first, and go to where it names last
@@ -267,7 +267,7 @@ class ScriptedParticipant(Client):
             await self.send(k="move", f=0, t=0)
 
     async def _face(self, point: tuple[float, float, float]) -> None:
-        """Turns towards a point and looks at it for a while."""
+        """Turn towards a point and look at it for a while."""
 
         def left() -> float:
             x, z, heading = self.bases[self.me]
@@ -282,7 +282,7 @@ class ScriptedParticipant(Client):
         await self._pause(25)
 
     async def _do(self, **message: Any) -> None:
-        """Asks for something and waits until it is done, or has been refused."""
+        """Request an action and wait until it is done, or has been refused."""
         seq = await self.send(**message)
         await self.until(lambda: self.over or (self.ack >= seq and not self.flags & BUSY), LATE_S)
 
@@ -306,7 +306,7 @@ class ScriptedParticipant(Client):
         return next((k for k, thing in enumerate(self.things) if thing.held == self.me), -1)
 
     def _barrier(self, k: int) -> int:
-        """The door or drawer to open before thing ``k`` is taken: what shuts in its goal, then what it is in; -1: none."""
+        """Return door or drawer to open before thing ``k`` is taken, for its goal or for the thing itself; -1: none."""
         told = self.heard("barriers")
         own, of_goal = told[-1][k] if told else (-1, -1)
         return of_goal if of_goal >= 0 else own
@@ -317,5 +317,5 @@ class ScriptedParticipant(Client):
 
 
 def _noun(label: str) -> str:
-    """Name of the furniture in the label of a place."""
+    """Return the name of the furniture in the label of a place."""
     return label.removeprefix("on the ").removeprefix("inside the ").partition(" (")[0]

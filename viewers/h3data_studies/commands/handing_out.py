@@ -43,7 +43,7 @@ class StudyData:
     """Write all stored data of a participant to one file, for the participant (GDPR, articles 15 and 20).
 
     The ZIP file has the participant's answers, the log of their actions, their consent, and the recordings of their
-    episodes. These are the data that h3data study forget would delete. The study may be running.
+    episodes. It is also a copy of the data that h3data study forget would delete. The study may be running.
 
     Examples:
         h3data study data study.toml P-ZBI5ZED7QR
@@ -198,7 +198,7 @@ _ID = re.compile(r"\S{1,200}")
 
 
 def _listed(path: Path) -> list[tuple[str, str]]:
-    """Ids and completion codes (empty: not given) of a platform's list.
+    """Return the ids and completion codes (empty: not given) of a platform's list.
 
     Raises:
         InputError: it cannot be read, or has no ids.

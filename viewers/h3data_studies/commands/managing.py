@@ -50,7 +50,7 @@ class StudyStatus:
 
 
 def _rejoin_links(folder: Path, store: StudyStore) -> dict[str, str]:
-    """Link by which each participant who is under way goes on in another browser; without its host while nothing runs."""
+    """Return the links by which active participants continue in another browser; without a host if no server runs."""
     from h3data_studies.files import key_file
     from h3data_studies.pseudonyms import read_key, rejoin_code
 
@@ -180,7 +180,7 @@ def find_participant(folder: Path, store: StudyStore, name: str) -> Participant:
 
 
 def _files(folder: Path, pseudonym: str) -> Iterator[Path]:
-    """Files of a participant, unfinished and damaged ones included, and what is made of everybody's."""
+    """Yield all files of a participant, also unfinished and damaged ones, and files with data of all participants."""
     from h3data_studies.orders import RECORDINGS, TUTORIALS
 
     for below in (RECORDINGS, TUTORIALS):

@@ -239,7 +239,7 @@ def usable_recordings(
 
 
 def _recorded(folder: Path, design: Design, episode: PlayedEpisode, rules: Exclusions) -> tuple[Path, str]:
-    """Returns where an episode is recorded, and why it cannot be used; empty if it can."""
+    """Return where an episode is recorded, and why it cannot be used; empty if it can."""
     from h3data_studies.orders import recording_path
     from h3data_studies.overview import usable
 
@@ -377,7 +377,7 @@ _STAMPED = re.compile(r"weights:(?:.*/)?(?P<file>[^/]+)@(?P<digest>[0-9a-f]{12})
 
 
 def _by_policy(episodes: Sequence[ReportEpisode], names: dict[str, str]) -> tuple[ReportEpisode, ...]:
-    """Renames the conditions of episodes to the robots' policies.
+    """Rename the conditions of episodes to the robots' policies.
 
     The same weights have the same name, wherever their file lies; ``names`` has the name of each digest that was met
     before.
@@ -393,7 +393,7 @@ def _by_policy(episodes: Sequence[ReportEpisode], names: dict[str, str]) -> tupl
 
 
 def _shipped() -> dict[str, str]:
-    """Names of the policies of the package by the digest of their weights."""
+    """Return the names of the policies of the package by the digest of their weights."""
     from sim_kinematic.policies.learned import SHIPPED, network_of
 
     return {network_of(name).digest[:12]: name for name in SHIPPED}
@@ -490,7 +490,7 @@ def _table_data(table: Table) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """JSON has no NaN."""
+    """Return JSON types without NaN, which JSON does not have."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):

@@ -179,7 +179,7 @@ def mixed_design(
 def _read(
     table: pa.Table | Mapping[str, ArrayLike], names: Sequence[str], *, optional: Sequence[str]
 ) -> dict[str, NDArray[Any]]:
-    """The named columns, all of one length, without missing values."""
+    """Return the named columns, all of one length, without missing values."""
     available = list(table) if isinstance(table, Mapping) else table.column_names
     unknown = [n for n in (*names, *optional) if n not in available]
     if unknown:
@@ -253,7 +253,7 @@ def _odd(values: NDArray[Any], *, least: int = 0) -> str:
 
 
 def _factor(name: str, values: NDArray[Any], order: Sequence[str] | None) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Level number of each row, and the levels in ``order``, else sorted."""
+    """Return the level number of each row, and the levels in ``order``, else sorted."""
     unique, codes = np.unique(values.astype(str), return_inverse=True)
     levels = unique.tolist()
     if order is not None:
@@ -310,7 +310,7 @@ def _check_separation(
     x: NDArray[np.float64],
     design: FixedDesign,
 ) -> None:
-    """Raises a `SeparationError` if some change of the coefficients makes no row less likely, however far it goes.
+    """Raise a `SeparationError` if some change of the coefficients makes no row less likely, however far it goes.
 
     Found by a linear programme (Konis 2007): rows at 0 may only go down, rows where all trials succeeded only up, all
     others must stay. The condition does not involve the random effects, so it decides the mixed model too.

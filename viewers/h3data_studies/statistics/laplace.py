@@ -127,13 +127,13 @@ class LaplaceModel:
         return float(np.sum((self._y - mean) ** 2 / weight))
 
     def _fit(self, eta: Array) -> float:
-        """-2 log f(y | eta)."""
+        """Return -2 log f(y | eta)."""
         with np.errstate(over="ignore"):
             partition = np.exp(eta) if self._poisson else self._n * np.logaddexp(0, eta)
         return 2 * float(self._constant + np.sum(partition - self._y * eta))
 
     def _moments(self, eta: Array) -> tuple[Array, Array]:
-        """Mean and variance [N]. The links are canonical, so the variance is also the weight."""
+        """Return the mean and variance [N]. The links are canonical, so the variance is also the weight."""
         from scipy.special import expit
 
         if self._poisson:

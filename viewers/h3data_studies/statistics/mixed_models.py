@@ -187,7 +187,7 @@ def fit_glmm(
 
 
 def _always_alike(design: MixedDesign) -> list[str]:
-    """Random factors of a binomial model of which every level has only failures or only successes, in several rows."""
+    """Return the random factors of a binomial model that have only levels with a single outcome in several rows."""
     if design.family != "binomial":
         return []
     found = []
@@ -202,7 +202,7 @@ def _always_alike(design: MixedDesign) -> list[str]:
 def _maximum(
     model: LaplaceModel, design: MixedDesign, *, penalised: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], bool]:
-    """Deviations [K], coefficients [P] and their covariance [P, P] at the maximum, and whether it is a proper one."""
+    """Return deviations [K], coefficients [P] and their covariance [P, P] at the maximum, and whether it is proper."""
 
     def penalty(theta: NDArray[np.float64]) -> float:
         return float(np.sum((theta / _PENALTY) ** 2)) if penalised else 0.0
@@ -228,7 +228,7 @@ def _maximum(
 
 
 def _profiled(model: LaplaceModel, penalty: Callable[[NDArray[np.float64]], float]) -> tuple[NDArray[np.float64], Mode]:
-    """Deviations [K] and mode near the optimum, with coefficients in the inner iteration (lme4's ``nAGQ = 0``)."""
+    """Return deviations [K] and mode near the optimum, with coefficients in the inner iteration (``nAGQ = 0``)."""
     from scipy.optimize import minimize
 
     k = len(model.level_counts)
@@ -247,7 +247,7 @@ def _profiled(model: LaplaceModel, penalty: Callable[[NDArray[np.float64]], floa
 def _newton(
     function: Callable[[NDArray[np.float64]], float], x: NDArray[np.float64], scale: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
-    """Returns the minimum, the inverse Hessian there, and whether it converged to a proper minimum.
+    """Return the minimum, the inverse Hessian there, and whether it converged to a proper minimum.
 
     Derivatives are taken along the columns of ``scale``, each about one standard error long.
     """
@@ -283,7 +283,7 @@ def _newton(
 def _unit_curvature(
     function: Callable[[NDArray[np.float64]], float], x: NDArray[np.float64], scale: NDArray[np.float64], middle: float
 ) -> NDArray[np.float64]:
-    """Rescales the columns of ``scale`` until the second derivative along each is about 2, that of a standard error."""
+    """Rescale the columns of ``scale`` until the second derivative along each is about 2, that of a standard error."""
     ends = np.array([function(x + s) + function(x - s) for s in _STEP * scale.T])
     curvature = np.abs(ends - 2 * middle) / _STEP**2
     return scale * np.clip(np.sqrt(2 / np.maximum(curvature, 1e-9)), 0.1, 30)
@@ -292,7 +292,7 @@ def _unit_curvature(
 def _differences(
     function: Callable[[NDArray[np.float64]], float], x: NDArray[np.float64], scale: NDArray[np.float64], middle: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gradient [D] and Hessian [D, D] by central differences along the columns of ``scale``."""
+    """Return the gradient [D] and Hessian [D, D] by central differences along the columns of ``scale``."""
     steps = _STEP * scale.T
     ahead = np.array([function(x + s) for s in steps])
     behind = np.array([function(x - s) for s in steps])

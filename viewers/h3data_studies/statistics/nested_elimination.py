@@ -134,14 +134,14 @@ class NestedElimination:
         return self._rest.shape[1] - self._crossed_levels
 
     def _parent(self, child: int, factor: int) -> NDArray[np.int64] | None:
-        """Level of ``factor`` in which each level of ``child`` lies; None if one lies in several."""
+        """Return the level of ``factor`` in which each level of ``child`` lies; None if one lies in several."""
         parent = np.zeros(self._counts[child], np.int64)
         parent[self._groups[child]] = self._groups[factor]
         return parent if (parent[self._groups[child]] == self._groups[factor]).all() else None
 
 
 def _indicator(levels: NDArray[np.int64], count: int) -> Any:
-    """Sparse matrix [count, N] that sums rows by level."""
+    """Return the sparse matrix [count, N] that sums rows by level."""
     from scipy.sparse import csr_matrix
 
     rows = len(levels)
@@ -149,7 +149,7 @@ def _indicator(levels: NDArray[np.int64], count: int) -> Any:
 
 
 def _inner(first: Array, second: Array) -> Array:
-    """first' second."""
+    """Return ``first' second``, the product of the transposed first matrix and the second."""
     if first.shape[0] * first.shape[1] ** 2 > _SMALL:
         return first.T @ second
     return np.einsum("nr,ns->rs", first, second)

@@ -228,7 +228,7 @@ def contrasts_text(rows: Sequence[Contrast]) -> str:
 
 @functools.cache
 def _tukey_half_width(confidence: float, count: int) -> float:
-    """Half the width of Tukey's intervals, in standard errors of a difference."""
+    """Return half the width of Tukey's intervals, in standard errors of a difference."""
     from scipy.stats import studentized_range
 
     return float(studentized_range.ppf(confidence, count, np.inf) / np.sqrt(2))

@@ -102,7 +102,7 @@ def _defined(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def _tau(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Kendall's tau-b of each row of two arrays [B, M]."""
+    """Return Kendall's tau-b of each row of two arrays [B, M]."""
     i, j = np.array(list(itertools.combinations(range(a.shape[1]), 2))).T
     x, y = np.sign(a[:, i] - a[:, j]), np.sign(b[:, i] - b[:, j])
     with np.errstate(invalid="ignore"):
@@ -110,7 +110,7 @@ def _tau(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _rho(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Spearman's rho of each row of two arrays [B, M]: Pearson's correlation of mean ranks."""
+    """Return Spearman's rho of each row of two arrays [B, M]: Pearson's correlation of mean ranks."""
     from scipy.stats import rankdata
 
     x, y = (ranks - ranks.mean(axis=1, keepdims=True) for ranks in (rankdata(a, axis=1), rankdata(b, axis=1)))

@@ -196,7 +196,7 @@ class ReportCommand:
 
 
 def _over_seeds(run: Run) -> dict[str, Any]:
-    """Mean and standard deviation over the seeds of a run, by metric; NaN becomes None."""
+    """Return the mean and standard deviation over the seeds of a run, by metric; NaN becomes None."""
     known = {name: (found.mean, found.deviation) for name, found in run.means().items()}
     return {
         "policies": list(run.seeds),

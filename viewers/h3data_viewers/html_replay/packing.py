@@ -4,10 +4,10 @@
 u32 length of the header | header: JSON, UTF-8 | arrays and files, one after the other
 ```
 
-An array [T, C] is rounded to multiples of its step; The differences between rows become unsigned numbers (zigzag).
+An array [T, C] is rounded to multiples of its step. The differences between rows become unsigned numbers (zigzag).
 Bytes of equal significance are stored together, column by column: neighbouring rows differ little, so most bytes are 0.
 The block is compressed with zlib, which browsers unpack themselves (`DecompressionStream`). `web/src/replay/payload.ts`
-reads it; The tests of Python and TypeScript read the same block (tests/viewers/replays/golden.py).
+reads the block. The tests of Python and TypeScript read the same block (tests/viewers/replays/golden.py).
 """
 
 from __future__ import annotations

@@ -224,5 +224,5 @@ def _words(name: str) -> str:
 
 
 def _thing(name: str) -> str:
-    """``kitchen_counter_0|top`` is called kitchen counter."""
+    """Return the name of a thing in words, such as kitchen counter for ``kitchen_counter_0|top``."""
     return _words(re.sub(r"_\d+$", "", name.partition("|")[0]))

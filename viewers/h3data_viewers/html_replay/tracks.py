@@ -23,7 +23,7 @@ from h3data_viewers.html_replay.packing import Payload
 
 POSITION_M, HEADING_RAD, JOINT, ROTATION = 5e-4, 5e-4, 2e-4, 1e-3
 """Resolution of stored positions [m], headings [rad], joints [rad or m] and components of quaternions. Live play has
-the same resolution of joints, and 1.4e-3 for rotations."""
+the same resolution of joints, and steps of 1.4e-3 for rotations."""
 _STILL = 1e-4
 """Least change of a coordinate of a pose by which a thing or a bone counts as moving."""
 
@@ -108,7 +108,7 @@ def _agent(
 
 
 def _add_poses(payload: Payload, name: str, poses: Array) -> str:
-    """pose7 [T, 7] in two arrays: ``<name>.position`` and ``<name>.rotation``."""
+    """Add pose7 [T, 7] as two arrays: ``<name>.position`` and ``<name>.rotation``."""
     payload.add_array(f"{name}.position", poses[:, :3], POSITION_M)
     payload.add_array(f"{name}.rotation", quat_sign_continuous(np.asarray(poses[:, 3:], np.float64)), ROTATION)
     return name

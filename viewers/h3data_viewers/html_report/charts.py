@@ -36,7 +36,7 @@ class StudyTables:
 def series_class(place: int) -> str:
     """Return the CSS class with the colour of the run at index ``place``.
 
-    There are eight colours, which repeat if there are more runs.
+    There are eight colours, which repeat if there are more runs, as in the macro ``legend``.
     """
     return f"s{place % 8 + 1}"
 
@@ -61,7 +61,7 @@ def _add_interval(svg: Svg, x: Scale, y: float, name: str, interval: Interval, c
 
 
 def _highest(metric: Metric, values: Sequence[float]) -> float:
-    """Right end of an axis with these values."""
+    """Return the right end of an axis with these values."""
     # shares all have the axis 0 to 1, so that panels compare; others have 8% of room on the right
     return 1.0 if metric.range == (0.0, 1.0) else max((v for v in values if np.isfinite(v)), default=1.0) * 1.08 or 1.0
 
@@ -218,7 +218,7 @@ def _distance(kept: Sequence[tuple[int, Run]], longest: float, *, zone: tuple[fl
 
 
 def _quartiles(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float64]:
-    """Quartiles over episodes, shape [3, G]; NaN where fewer than a tenth of them last so long."""
+    """Return the quartiles over episodes, shape [3, G]; NaN where fewer than a tenth of them last so long."""
     grid = np.full((len(rows), max((len(r) for r in rows), default=0)), np.nan)
     for k, row in enumerate(rows):
         grid[k, : len(row)] = row

@@ -251,7 +251,7 @@ class _Gathered:
         self.evaluated.setdefault(place, {})[episode.partner] = None
 
     def _drop_parts_of_populations(self) -> None:
-        """Without all of it, some of the partners of the zero-shot population are none, as in the table of the evaluation."""
+        """Remove partners from the population ``zsc`` if only a part of it played, as the evaluation's table does."""
         for (place, task, policy), episodes in self.grouped.items():
             parts = self.evaluated.get(place, {})
             zsc = zero_shot_population(tuple(parts)) if task == REARRANGEMENT_PROFILE.tasks[0] else ()
@@ -277,7 +277,7 @@ class _Gathered:
 
 
 def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[ReportEpisode]:
-    """The episode once for each partner that it stands for (``info["partners"]`` of ``h3data evaluate --save-recordings``)."""
+    """Return the episode once for each of its partners (``info["partners"]`` of ``--save-recordings``)."""
     if not shared_by(info):
         return [episode]
     return [
@@ -308,7 +308,7 @@ def read_whole(episode: ReportEpisode) -> Recording:
 
 
 def read_curves(folder: Path) -> dict[str, NDArray[np.float64]]:
-    """Read the numeric columns [N] of the training log in a folder, with ``step`` among them.
+    """Read the numeric columns [N] of the training log in a folder, including ``step``.
 
     Returns:
         Columns by name; empty if the folder holds neither `CURVES_FILE` nor `RUN_CURVES_FILE`.

@@ -194,7 +194,7 @@ def tables_beside(name: str, runs: Sequence[Run]) -> list[Table]:
 
 
 def _by(profile: Profile, run: Run) -> Iterator[ReportEpisode]:
-    """The episodes of a run that a further profile measures, with its metrics."""
+    """Yield the episodes of a run that a further profile measures, with its metrics."""
     for episode in run.episodes:
         for measured in episode.beside:
             if measured.profile == profile.name:
@@ -364,7 +364,7 @@ def _digits(metric: Metric) -> int:
 
 
 def _best(means: Sequence[Mapping[str, float]], metrics: Sequence[Metric]) -> dict[str, set[int]]:
-    """Which rows hold the best mean of each metric that has a direction; none of a single row."""
+    """Return which rows have the best mean of each metric that has a direction; none if there is a single row."""
     best: dict[str, set[int]] = {}
     for metric in metrics:
         values = np.array([mean[metric.name] for mean in means])

@@ -39,7 +39,7 @@ _PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
 MOST_MESSAGES = 12
 """Largest number of messages on the card of an episode in a report."""
 _TRACKS = 40
-"""At most so many trajectories per run are drawn over a plan."""
+"""Largest number of trajectories per run that are drawn over a plan."""
 _QUALITY = 78
 """Quality of JPEG pictures, which make up most of a page."""
 
@@ -117,7 +117,7 @@ def _drawn(key: str, scene: Scene) -> Plan:
 
 
 def _blank(key: str, episode: ReportEpisode) -> Plan:
-    """Empty floor around the tracks of an episode whose scene was not recorded."""
+    """Return the empty floor around the tracks of an episode whose scene was not recorded."""
     points = np.concatenate([t.xz for t in episode.tracks] or [np.zeros((1, 2), np.float32)])
     points = points[np.isfinite(points).all(1)]
     low, high = (points.min(0) - 2.0, points.max(0) + 2.0) if len(points) else (np.full(2, -2.0), np.full(2, 2.0))
@@ -389,7 +389,7 @@ def key_rows(episode: ReportEpisode, milestones: Sequence[Milestone] = ()) -> li
 
 
 def _frames(replay, rows: Sequence[int]) -> list[str]:
-    """From behind the robot, as data URIs."""
+    """Return pictures from behind the robot, as data URIs."""
     import cv2
 
     from h3data.replay import camera_track

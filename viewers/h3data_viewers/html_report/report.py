@@ -213,7 +213,7 @@ class ReportSection:
 
 
 def _paper_tables(data: ReportData, missing: list[str], studies: Mapping[str, StudyTables]) -> list[Table]:
-    """Tables of all tasks, with those of ``studies`` by task; what is ``missing`` is added to."""
+    """Return the tables of all tasks, with those of ``studies`` by task; absent tables are added to ``missing``."""
     # tables of the paper's tasks come first, in its order, and say so if there are no episodes of them
     others = [task_table(task_name(t), data.of_task(t)) for t in data.tasks if t not in TASKS]
     of_studies = [table for study in studies.values() for table in study.tables]
@@ -236,7 +236,7 @@ def _paper_tables(data: ReportData, missing: list[str], studies: Mapping[str, St
 
 
 def _studies(data: ReportData, missing: list[str], model: StepsModel, failed: FailedEpisodes) -> dict[str, StudyTables]:
-    """Tables of the episodes that participants did under conditions, by task."""
+    """Return the tables of the episodes that participants did under conditions, by task."""
     studies = {}
     for task in data.tasks:
         if any(e.studied for run in data.of_task(task) for e in run.episodes):
@@ -261,7 +261,7 @@ def _task_sections(
     missing: list[str],
     tail: str,
 ) -> list[ReportSection]:
-    """Everything about the runs of one task, key frames excepted; titles end in ``tail``."""
+    """Return all sections about the runs of one task, except key frames; titles end in ``tail``."""
     names = [run.name for run in runs]
     sections = []
     if table := next((t for t in tables if t.key == task), None):

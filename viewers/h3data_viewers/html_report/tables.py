@@ -171,7 +171,7 @@ def to_markdown(table: Table) -> str:
 
 
 def _md(text: str) -> str:
-    """Letters only: nothing in ``text`` is markup."""
+    """Return a text in which nothing is Markdown markup."""
     # a line break would end the row of the table
     flat = re.sub(r"\s+", " ", text)
     return re.sub(r"([\\`*_|\[\]#~])", r"\\\1", flat).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
@@ -203,5 +203,5 @@ def to_latex(table: Table) -> str:
 
 
 def _tex(text: str) -> str:
-    """Letters only: nothing in ``text`` is a command."""
+    """Return a text in which nothing is a LaTeX command."""
     return "".join(_LATEX.get(c, c) for c in re.sub(r"\s+", " ", text))

@@ -305,7 +305,7 @@ def _log_properties(stream: rr.RecordingStream, sides: Sequence[ViewedRecording]
 
 # --- initial view -----------------------------------------------------------------------------------------------------
 def _focus(recording: Recording, drawables: Sequence[Drawable]) -> NDArray[np.floating]:
-    """Box [2, 3] that the initial view shows [m]: the part of the home within 5 m of the agents' tracks."""
+    """Return the box [2, 3] that the initial view shows [m]: the part of the home within 5 m of the agents' tracks."""
     corners = []
     for d in drawables:
         # ceilings are hidden in the initial view

@@ -53,7 +53,7 @@ def touched_rows(recording: Recording) -> NDArray[np.bool_]:
 
 
 def is_following(recording: Recording) -> bool:
-    """Return whether the robot's task is to follow a person, so that the bounds of 1 and 2 m apply."""
+    """Return whether the robot's task is to follow a person; only then do the bounds of 1 and 2 m apply."""
     return recording.episode.task == SOCIAL_NAV_PROFILE.tasks[0]
 
 

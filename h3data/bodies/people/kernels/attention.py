@@ -71,7 +71,7 @@ def curl_fingers(quats, curl):
 
 @kernel_part()
 def _between(a, b):
-    """Yaw to the left and pitch down of the rotation vector from one direction to another, whose length is 1."""
+    """Return yaw to the left and pitch down of the rotation vector from one direction to another, whose length is 1."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     sine, cosine = math.sqrt(x * x + y * y + z * z), a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     scale = math.atan2(sine, cosine) / sine if sine > 1e-9 else 1.0
@@ -80,7 +80,7 @@ def _between(a, b):
 
 @kernel_part()
 def _turn_head(quats, gaze):
-    """Local rotations of neck and head, turned beyond the pose."""
+    """Return the local rotations of neck and head, turned beyond the pose."""
     neck = multiply(from_vector(NECK_SHARE * gaze[1], NECK_SHARE * gaze[0], 0.0), row4(quats, _NECK))
     share = 1.0 - NECK_SHARE
     return neck, multiply(from_vector(share * gaze[1], share * gaze[0], 0.0), row4(quats, _HEAD))
@@ -88,7 +88,7 @@ def _turn_head(quats, gaze):
 
 @kernel_part()
 def _to_target(offsets, at, turn, neck, head, target):
-    """Unit vector from the middle of the eyes to a point, and the head's rotation.
+    """Return the unit vector from the middle of the eyes to a point, and the head's rotation.
 
     ``at`` is the root of the neck, which `turn` turns. The vector is 0 if the eyes are at the point.
     """
@@ -109,7 +109,10 @@ def _within(value, most):
 
 @kernel_part()
 def _shortened(a, b, most):
-    """Two angles as one turn of at most ``most`` [rad]: limits on each alone let a diagonal turn be 1.4 times as fast."""
+    """Return two angles as one turn of at most ``most`` [rad].
+
+    Limits on each angle alone would let a diagonal turn be 1.4 times as fast.
+    """
     length = math.hypot(a, b)
     return (a, b) if length <= most else (a * most / length, b * most / length)
 

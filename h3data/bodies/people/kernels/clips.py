@@ -118,7 +118,7 @@ def write_frame(parent, q, x, y, z, frame):
 
 @kernel_part()
 def _write_tree(quats, offsets, parents, frames):
-    """Frames [55, 4, 4] of all joints below the pelvis, whose frame is there; ``quats`` [54, 4] are theirs."""
+    """Fill the frames [55, 4, 4] of all joints below the pelvis, whose frame is given, from ``quats`` [54, 4]."""
     for j in range(1, len(parents)):
         x, y, z = row3(offsets, j)
         write_frame(frames[parents[j]], row4(quats, j - 1), x, y, z, frames[j])

@@ -48,7 +48,7 @@ def chest_of(offsets, quats, pelvis):
 
 @kernel_part()
 def _clipped_turn(q, most):
-    """The same rotation, by at most ``most`` [rad]."""
+    """Return the same rotation, by at most ``most`` [rad]."""
     x, y, z = to_vector(q)
     angle = math.sqrt(x * x + y * y + z * z)
     share = most / angle if angle > most else 1.0

@@ -1,8 +1,8 @@
 """Compiled kernels of legs: two bones from hip to ankle, feet on the floor, and the transition from standing to moving.
 
 Positions are in the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor. Angles of
-feet are in degrees, as in `h3data.bodies.people.legs.Posture`. For one frame NumPy needs 40 times as long: its calls
-cost more than their numbers.
+feet are in degrees, as in `h3data.bodies.people.legs.Posture`. For one frame, NumPy needs 40 times as long, because its
+calls cost more than the arithmetic.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ LANDING_M, LANDING_RAD = 0.06, 0.20
 FIRST_SHARE = 0.25
 """Share of its stance that the standing foot has passed when the other foot starts the first step of a walk."""
 JUMP_M = 0.5
-"""Distance in one step above which the root was placed anew, so that the person stands [m]."""
+"""Distance in one step above which the root has been set to a new place, so that the person stands [m]."""
 MOST_STEPS, LEAST_S, SAME_S = 30, 1e-3, 1e-6
 """Largest number of steps between two rows, shortest step `LEAST_S` [s], and `SAME_S`, the difference below which steps
 are equally long [s]: times of recordings are whole nanoseconds, and 33,333,333 ns for 1/30 s moved feet by up to 5 cm,
@@ -102,8 +102,9 @@ the share of its stance from which on it may leave."""
 CLEARANCE_M = 0.012
 """Smallest distance of a swinging foot from the floor [m]."""
 FOOT_ROOM_M = 0.03
-"""Distance of heel and toe tip of a swinging foot from walls and furniture [m]. With 6 cm, people whose root is 25 cm
-from a wall never stopped correcting the positions of their feet."""
+"""Distance of heel and toe tip of a swinging foot from walls and furniture [m]. The resting positions of the feet of a
+person whose root is 25 cm from a wall are farther away (5 cm on the largest body). With 6 cm, such people never stopped
+correcting the positions of their feet."""
 SLIDES, LOOKS, TOUCHES_M = 3, 12, 2e-3
 """Largest number of straight lines, and of samples of the map on each, by which heel and toes slide from below the root
 along obstacles to their position. Moved along the gradient of the distances instead, some feet ended on the far side of
@@ -171,7 +172,7 @@ class GaitTables(NamedTuple):
 
 @kernel_part(borrows=True)
 def _row(table, speed):
-    """Row below a speed, and the share of the next one."""
+    """Return the row below a speed, and the share of the next one."""
     v = abs(speed)
     last = len(table.speeds) - 1
     if v >= table.speeds[last]:
@@ -213,7 +214,7 @@ def _to_body(x, z, heading, px, pz, ph):
 
 @kernel_part(borrows=True)
 def _gait_ahead(table, k, f, speed, phase):
-    """Returns how far ahead of the pelvis the steady gait has a foot on the floor at its own phase, 0 at its strike."""
+    """Return how far ahead of the pelvis the steady gait has a foot on the floor at its own phase, 0 at its strike."""
     # walking backwards is the same gait with the feet travelling the other way
     way = math.copysign(1.0, speed) * _at(table.travel, k, f)
     return _at(table.middle, k, f) + way * (_at(table.strike, k, f) - phase)
@@ -235,7 +236,7 @@ def _own_phase(phase, foot):
 
 @kernel_part(borrows=True)
 def _slides_to(table, x, z, to_x, to_z):
-    """Returns where a point ends that moves from free floor towards a place and slides along obstacles in between."""
+    """Return where a point ends that moves from free floor towards a place and slides along obstacles in between."""
     for _ in range(SLIDES):
         way_x, way_z = to_x - x, to_z - z
         length, done = math.hypot(way_x, way_z), 0.0
@@ -266,7 +267,7 @@ def _slides_to(table, x, z, to_x, to_z):
 
 @kernel_part(borrows=True)
 def _beside_things(table, state, foot, left, ahead, yaw):
-    """A place of a foot in the body frame, moved out of walls and furniture: (left, ahead)."""
+    """Return a place of a foot in the body frame, moved out of walls and furniture: (left, ahead)."""
     if table.sdf.shape[0] == 0:
         return left, ahead
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
@@ -289,7 +290,7 @@ def _beside_things(table, state, foot, left, ahead, yaw):
 
 @kernel_part(borrows=True)
 def _lands_at(table, k, f, state, foot, left, ahead, gone):
-    """World position (x, z) at which a swinging foot will land.
+    """Return the world position (x, z) at which a swinging foot will land.
 
     The foot lands ``left`` and ``ahead`` of its place in the gait; the phase is ``gone`` cycles behind the root.
     """
@@ -303,7 +304,7 @@ def _lands_at(table, k, f, state, foot, left, ahead, gone):
 
 @kernel_part(borrows=True)
 def _on_a_tread(table, state, foot, x, z, heading, came_from):
-    """Moves the place of a foot in the world along the stairs so that it lies on one tread.
+    """Move the place of a foot in the world along the stairs so that it lies on one tread.
 
     Heel and toe then reach at most a little beyond the tread's edge.
     """
@@ -313,7 +314,7 @@ def _on_a_tread(table, state, foot, x, z, heading, came_from):
 
 @kernel_part(borrows=True)
 def _came_from(table, state, foot):
-    """Number of the tread that a foot stands on or has left."""
+    """Return the number of the tread that a foot stands on or has left."""
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
     place = state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2]
     return tread_of(table.heights, place[0], place[1], place[2], feet[0, 2], feet[2, 2])
@@ -321,7 +322,7 @@ def _came_from(table, state, foot):
 
 @kernel_part(borrows=True)
 def _stand_place(table, state, foot):
-    """Returns the place of a standing person's foot in the body frame: (left, ahead)."""
+    """Return the place of a standing person's foot in the body frame: (left, ahead)."""
     side = table.half_width if foot == 0 else -table.half_width
     if table.heights.shape[0] == 0:
         return side, table.middle[0]
@@ -333,7 +334,7 @@ def _stand_place(table, state, foot):
 
 @kernel_part(borrows=True)
 def _above_root(table, k, f, state, foot, along):
-    """Height of the floor under a foot above that under the root [m].
+    """Return the height of the floor under a foot above that under the root [m].
 
     For a swinging foot, whose ankle is ``along`` ahead of its place [m], it is the height of its path over steps.
     """
@@ -358,14 +359,14 @@ def _above_root(table, k, f, state, foot, along):
 
 @kernel_part(borrows=True)
 def _steps_off(table, state, foot):
-    """Returns whether a swinging foot has left a place in a stairwell, from where it goes straight to where it will land."""
+    """Return whether a swinging foot has left a place in a stairwell, from where it goes straight to its end."""
     at = FOOT + foot * FOOT_COLUMNS
     return table.heights.shape[0] > 0 and step_at(table.heights, state[at + PLANT], state[at + PLANT + 1])[0] >= 0
 
 
 @kernel_part(borrows=True)
 def _stair_line(table, k, f, state, foot, done, gone):
-    """Foot on its path between two treads, of which it has passed the share ``done``.
+    """Return the foot on its path between two treads, of which it has passed the share ``done``.
 
     Returns left, ahead and yaw in the body frame, and that share. ``gone`` is as in `_lands_at`.
     """
@@ -381,7 +382,7 @@ def _stair_line(table, k, f, state, foot, done, gone):
 
 @kernel_part(borrows=True)
 def _swing_line(table, k, f, state, foot, share):
-    """Returns the same as `_swing_place`, at a share of the swing and without obstacles."""
+    """Return the same as `_swing_place`, at a share of the swing and without obstacles."""
     at = FOOT + foot * FOOT_COLUMNS
     since = state[at + SINCE]
     if _steps_off(table, state, foot):
@@ -400,7 +401,7 @@ def _swing_line(table, k, f, state, foot, share):
 
 @kernel_part(borrows=True)
 def _swing_place(table, k, f, state, foot):
-    """Returns where a swinging foot is over the floor, in the body frame, and how far it has moved since it left."""
+    """Return where a swinging foot is over the floor, in the body frame, and how far it has moved since it left."""
     left, ahead, yaw, done = _swing_line(table, k, f, state, foot, state[FOOT + foot * FOOT_COLUMNS + SHARE])
     left, ahead = _beside_things(table, state, foot, left, ahead, yaw)
     return left, ahead, yaw, done
@@ -408,7 +409,7 @@ def _swing_place(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _foot_place(table, k, f, state, foot):
-    """Returns where a foot is over the floor, in the body frame: left, ahead, yaw."""
+    """Return where a foot is over the floor, in the body frame: left, ahead, yaw."""
     at = FOOT + foot * FOOT_COLUMNS
     if state[at + AIR] > 0.0:
         left, ahead, yaw, _ = _swing_place(table, k, f, state, foot)
@@ -429,7 +430,7 @@ def _curve(curves, k, f, share, i):
 
 @kernel_part(borrows=True)
 def _gait_shape(table, k, f, state, foot):
-    """Pitch, bend [deg], and the ankle's place forward and up from a foot's place on the floor, as the gait has them."""
+    """Return pitch, bend [deg], and the ankle's place forward and up from a foot's place, as in the gait."""
     at = FOOT + foot * FOOT_COLUMNS
     if state[at + AIR] == 0.0:
         share = _own_phase(state[PHASE], foot) / _at(table.stance, k, f)
@@ -453,7 +454,7 @@ def _gait_shape(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _shape(table, k, f, state, foot):
-    """Returns `_gait_shape` with contact: a foot on the floor pivots about heel or ball, one in the air stays above it."""
+    """Return `_gait_shape` with contact: a foot on the floor pivots about heel or ball, others stay above it."""
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
     pitch, bend, along, up = _gait_shape(table, k, f, state, foot)
     pitch, bend = pitch + state[at + SHAPE_OFF], max(bend + state[at + SHAPE_OFF + 1], 0.0)
@@ -474,7 +475,7 @@ def _shape(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _ankle(table, k, f, state, foot):
-    """Ankle in the body frame, pitch, bend [deg] and yaw [rad] of a foot."""
+    """Return the ankle in the body frame, pitch, bend [deg] and yaw [rad] of a foot."""
     left, ahead, yaw = _foot_place(table, k, f, state, foot)
     pitch, bend, along, up = _shape(table, k, f, state, foot)
     c, s = math.cos(yaw), math.sin(yaw)
@@ -485,7 +486,10 @@ def _ankle(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _keep_shape(table, k, f, state, foot, shape):
-    """Lets a foot that has just left the floor, or landed, look as it did before: (pitch, bend, forward, up)."""
+    """Keep the earlier ``shape`` (pitch, bend, forward, up) of a foot that has just left the floor or landed.
+
+    The state stores the difference from the gait, which fades later.
+    """
     at = FOOT + foot * FOOT_COLUMNS
     # the difference is kept and fades: the shape itself must not jump from that of a standing to that of a swinging
     # foot
@@ -508,7 +512,7 @@ def _plant(table, state, foot, place, steps):
 
 @kernel_part(borrows=True)
 def _leave(table, k, f, state, foot, share):
-    """The foot leaves the floor, with a share of its swing behind it."""
+    """Let a foot leave the floor, with a share of its swing already done."""
     at = FOOT + foot * FOOT_COLUMNS
     left, ahead, yaw = _foot_place(table, k, f, state, foot)
     side = table.half_width if foot == 0 else -table.half_width
@@ -553,7 +557,7 @@ def is_settled(table, state):
 
 @kernel_part(borrows=True)
 def _begin(table, k, f, state):
-    """The first step: the foot that stands more wrongly makes it, or the one on the side to which the root turns."""
+    """Begin the first step, with the foot that is farther from its place, or that towards which the root turns."""
     # turning to the left the left foot opens the turn; the other one would step across it
     worst, wrong = 1 if state[TURN] < 1e-3 else 0, 0.0
     rest_k, rest_f = _row(table, 0.0)
@@ -574,7 +578,7 @@ def _begin(table, k, f, state):
 
 @kernel_part(borrows=True)
 def _change_speed(table, state, velocity, most):
-    """Brings the gait's speed nearer to the root's, with the feet where they are: what they are off it fades later."""
+    """Bring the gait's speed nearer to the root's without moving the feet, whose difference fades later."""
     k, f = _row(table, state[SPEED])
     was = state[SPEED]
     speed = was + min(max(velocity - was, -most), most)
@@ -661,7 +665,7 @@ def step_gait(table, state, x, z, heading, dt):
 
 @kernel_part(borrows=True)
 def _climbing_speed(table):
-    """Speed of the gait whose steps are one tread long [m/s]."""
+    """Return the speed of the gait whose steps are one tread long [m/s]."""
     # a cycle is two steps
     length = 2 * tread_length(table.heights)
     k = 0
@@ -673,7 +677,7 @@ def _climbing_speed(table):
 
 @kernel_part(borrows=True)
 def _turn_look(state, dt):
-    """Turns the head by one step towards where the root will be turned."""
+    """Turn the head by one step towards the future direction of the root."""
     wanted = min(max(LOOK_S * state[TURN], -LOOK_RAD), LOOK_RAD)
     # proportional, then limited in speed and in acceleration: heads have mass
     rate = min(max(LOOK_GAIN * (wanted - state[LOOK]), -LOOK_RAD_S), LOOK_RAD_S)
@@ -684,7 +688,7 @@ def _turn_look(state, dt):
 
 @kernel_part(borrows=True)
 def _toes(table, k, f, state, foot, share):
-    """Ankle and toes of a swinging foot along the floor in the body frame, left and ahead each, where nothing stands there."""
+    """Return ankle and toes of a swinging foot along the floor in the body frame, left and ahead, if it is free."""
     left, ahead, yaw, _ = _swing_line(table, k, f, state, foot, share)
     along = _curve(table.swing_path, k, f, share, 0)
     s, c = math.sin(yaw), math.cos(yaw)
@@ -693,7 +697,7 @@ def _toes(table, k, f, state, foot, share):
 
 @kernel_part(borrows=True)
 def _unhurried(table, k, f, state, ahead, dt):
-    """The cycles, ``ahead`` at most, that the phase runs on in a step so that no swinging foot moves too fast."""
+    """Return the cycles, at most ``ahead``, by which the phase advances so that no swinging foot moves too fast."""
     most = max(SWING_MPS, _at(table.swing, k, f)) * dt
     slowest = ahead
     for foot in range(2):
@@ -713,7 +717,7 @@ def _unhurried(table, k, f, state, ahead, dt):
 
 @kernel_part(borrows=True)
 def _advance(table, k, f, state, ahead, rate, rests):
-    """Runs the phase on by ``ahead`` cycles: feet leave the floor, fly and land."""
+    """Advance the phase by ``ahead`` cycles, in which feet leave the floor, fly and land."""
     stance = _at(table.stance, k, f)
     span = stance / max(rate, 0.3)
     landed, shapes = -1, (0.0, 0.0, 0.0, 0.0)
@@ -768,7 +772,7 @@ def _advance(table, k, f, state, ahead, rate, rests):
 
 @kernel_part(borrows=True)
 def _aim(table, k, f, state, foot, span, gone):
-    """Moves the place where a swinging foot will land: half of what the root does in its stance beyond the gait, ahead."""
+    """Move the landing place of a swinging foot ahead, by half of what the root moves in its stance beyond the gait."""
     at = FOOT + foot * FOOT_COLUMNS
     half = span / 2
     yaw = min(max(state[TURN] * half, -TWIST_RAD), TWIST_RAD)
@@ -790,7 +794,7 @@ def _aim(table, k, f, state, foot, span, gone):
 
 @kernel_part(borrows=True)
 def _show(state, ahead):
-    """Trunk and arms follow the phase of the feet, which has gone on by ``ahead`` cycles."""
+    """Set trunk and arms by the phase of the feet, which has advanced by ``ahead`` cycles."""
     gap = state[PHASE] - state[SHOWN] - ahead
     # the shorter way round the cycle
     gap -= math.floor(gap + 0.5)
@@ -840,7 +844,7 @@ def _pelvis_turn(table, state):
 
 @kernel_part(borrows=True)
 def _lacks(table, k, f, state, foot):
-    """Returns how far the pelvis of the gait must sink for a foot to be within reach [m]."""
+    """Return how far the pelvis of the gait must sink for a foot to be within reach [m]."""
     place, turn = _pelvis(table, state), _pelvis_turn(table, state)
     ankle, _, _, _ = _ankle(table, k, f, state, foot)
     hip = turned(turn, row3(table.legs.hips, foot))
@@ -853,7 +857,7 @@ def _lacks(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _will_lack(table, k, f, state, foot):
-    """Returns the same as `_lacks` for a swinging foot once it has landed flat, while the pelvis stays where it is."""
+    """Return the same as `_lacks` for a swinging foot once it has landed flat, while the pelvis stays where it is."""
     place, turn = _pelvis(table, state), _pelvis_turn(table, state)
     at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
     x, z = _lands_at(table, k, f, state, foot, state[at + LANDS_AT], state[at + LANDS_AT + 1], 0.0)
@@ -872,7 +876,7 @@ def _will_lack(table, k, f, state, foot):
 
 @kernel_part(borrows=True)
 def _settle_pelvis(table, k, f, state, dt):
-    """Returns how far the pelvis must be below that of the gait for the planted feet; it sinks at once and rises slowly."""
+    """Lower the pelvis below that of the gait as far as the planted feet need it."""
     sink, climbs = 0.0, table.heights.shape[0] > 0
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS

@@ -33,7 +33,7 @@ _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 
 @kernel_part()
 def _shoulder(body, quats, pelvis):
-    """Rotation of the collar and place of the shoulder on the side of a `ReachBody`."""
+    """Return the rotation of the collar and place of the shoulder on the side of a `ReachBody`."""
     chest, at = chest_of(body.offsets, quats, pelvis)
     collar = multiply(chest, row4(quats, body.joints[0]))
     at = plus(at, turned(chest, row3(body.offsets, body.joints[0])), 1.0)
@@ -42,7 +42,7 @@ def _shoulder(body, quats, pelvis):
 
 @kernel_part()
 def _lead(body, quats, collar, shoulder, place, palm, pole, twist, extension, share):
-    """Leads the wrist (``palm`` 0) or the palm (1) of a `ReachBody` to a place by a share, as far as the arm reaches."""
+    """Lead the wrist (``palm`` 0) or the palm (1) of a `ReachBody` to a place by a share, as far as the arm reaches."""
     joints, fore = body.joints, from_vector(twist, 0.0, 0.0)
     own, wrist = (row4(quats, joints[1]), row4(quats, joints[2]), row4(quats, joints[3])), row3(body.offsets, joints[3])
     hand = multiply(fore, from_vector(0.0, 0.0, body.sign * extension))

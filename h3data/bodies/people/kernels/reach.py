@@ -96,7 +96,7 @@ class ReachBody(NamedTuple):
 
 @kernel_part()
 def _solve_leg(body, k, pelvis_turn, hip, quats):
-    """One leg from its hip to its ankle, the foot flat; returns knee flexion, lean of the shank and the knee."""
+    """Return one leg from its hip to its ankle, the foot flat; returns knee flexion, lean of the shank and the knee."""
     ankle, out = row3(body.ankles, k), KNEES_OUT if k == 0 else -KNEES_OUT
     flexion, bone, thigh_turn, hip_turn, knee_turn, ankle_turn, _ = solve_leg(
         body.bones[0], body.bones[1], out, pelvis_turn, hip, ankle, 0.0, 0.0
@@ -110,7 +110,7 @@ def _solve_leg(body, k, pelvis_turn, hip, quats):
 
 @kernel_part()
 def _bend(body, x, trunk, k, turn, at, quats):
-    """One joint of the spine: frame and place from those of the one below."""
+    """Return one joint of the spine: frame and place from those of the one below."""
     share, m, joint = trunk * (0.30, 0.35, 0.35)[k], -body.sign, _SPINE[k]
     local = multiply(
         from_vector(share * x[SPINE], share * m * x[SPINE + 1], share * m * x[SPINE + 2]), row4(body.stand, joint)

@@ -53,7 +53,7 @@ def hold(frame, place, grip, upright, tilt, out):
 
 @kernel_part()
 def _rotation(m):
-    """Rotation [4] of a frame [4, 4], as `h3data.geometry.quat_from_matrix`."""
+    """Return the rotation [4] of a frame [4, 4], as `h3data.geometry.quat_from_matrix`."""
     xx, yy = 1 + m[0, 0] - m[1, 1] - m[2, 2], 1 - m[0, 0] + m[1, 1] - m[2, 2]
     zz, ww = 1 - m[0, 0] - m[1, 1] + m[2, 2], 1 + m[0, 0] + m[1, 1] + m[2, 2]
     xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]

@@ -50,7 +50,7 @@ def beside_steps(heights, x, z):
 
 @kernel_part()
 def _upwards(heights, k, heading):
-    """Cosine of the angle between a heading and the direction in which a flight rises."""
+    """Return the cosine of the angle between a heading and the direction in which a flight rises."""
     # flights are stored by their lower and upper end along an axis, whichever way that points
     sign = 1.0 if heights[k, END] > heights[k, START] else -1.0
     return sign * (math.cos(heading) if heights[k, AXIS] == 0.0 else -math.sin(heading))
@@ -120,8 +120,8 @@ def on_a_tread(heights, x, z, heading, heel, toe, came_from):
 def over_steps(heights, x, z, heading, heel, toe, low, high, share):
     """Return the height [m] of the floor below a swinging foot at (x, z) that has passed ``share`` of its path over steps.
 
-    The path leads from a floor at ``low`` to one at ``high``. It is never below the floor under heel and toe, and as
-    high as the noses of the steps between them.
+    The path leads from a floor at ``low`` to one at ``high``. The height is never below the floor under heel and toe,
+    and at least that of the noses of the steps between the floors.
     """
     # eased, so that the foot leaves and arrives without a speed upwards
     line = low + (high - low) * share * share * (3 - 2 * share)

@@ -78,7 +78,7 @@ class Base:
         return Cloth(vertices=vertices, weights=weights, faces=np.concatenate(faces).astype(np.int32))
 
     def part(self, name: str) -> NDArray[np.int32]:
-        """Faces of one part of `pattern`."""
+        """Return the faces of one part of `pattern`."""
         names = list(self.starts)
         end = [*list(self.starts.values())[1:], len(self.pattern.vertices)][names.index(name)]
         first = self.pattern.faces[:, 0]
@@ -114,7 +114,7 @@ def make_base(rig: Rig, masks: dict[str, Array]) -> Base:
 
 
 def _unseen(m: Measures, body: Cloth, lips: Array) -> NDArray[np.bool_]:
-    """Vertices in the mouth, and the back halves of the eyeballs."""
+    """Return the vertices in the mouth, and the back halves of the eyeballs."""
     from scipy.spatial import KDTree
 
     x, y, z = body.vertices.T
@@ -142,7 +142,10 @@ def neckline(m: Measures, mesh: Cloth, drop: float, tilt: float, curve: float) -
 
 
 def _smoothed(faces: NDArray[np.int32], vertices: Array, amount: Array, rounds: int) -> Array:
-    """Vertices after Laplacian smoothing where ``amount`` [V] is 1; each round is nearly undone (Taubin) to keep volume."""
+    """Return vertices after Laplacian smoothing where ``amount`` [V] is 1.
+
+    Each round is nearly undone (Taubin) to keep volume.
+    """
     from scipy.sparse import coo_matrix, diags
 
     i, j = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T
@@ -204,7 +207,7 @@ def last_weights(rig: Rig, side: str, vertices: Array) -> Array:
 
 
 def _hull_reach(hull: object, origin: Array, direction: Array, margin: float) -> Array:
-    """Returns the distance of the surface of a hull, widened by ``margin``, from points inside it."""
+    """Return the distance of the surface of a hull, widened by ``margin``, from points inside it."""
     equations = hull.equations  # pyright: ignore[reportAttributeAccessIssue]
     normal, level = equations[:, :3], equations[:, 3] - margin
     speed = direction @ normal.T

@@ -17,7 +17,7 @@ from h3data.geometry import Array, normalized
 ROUND: Any = ("nearest", "wrap")
 """Modes in which fields over height and azimuth go on beyond their edges."""
 INSIDE_SHADE = 0.42
-"""Cloth is this dark where one looks into a sleeve."""
+"""Darkness of cloth where one looks into a sleeve."""
 
 
 class Hang:
@@ -52,7 +52,7 @@ class Hang:
         self.excess: Any = gaussian_filter(fall - radius, (1.2, 1.6), mode=ROUND)
 
     def __call__(self, mesh: Cloth) -> Array:
-        """Distance of hanging cloth from the body at each vertex of a mesh [m]."""
+        """Return the distance of hanging cloth from the body at each vertex of a mesh [m]."""
         from scipy.ndimage import map_coordinates
 
         x, y, z = mesh.vertices.T
@@ -77,7 +77,7 @@ def wobble(mesh: Cloth, scale_m: float, seed: int) -> Array:
 
 
 def _here_and_there(mesh: Cloth, seed: int) -> Array:
-    """Factor on folds, 0.15 to 1, so that some places have hardly any."""
+    """Return a factor on folds, 0.15 to 1, so that some places have hardly any."""
     return 0.15 + 0.85 * smoothstep(-0.55, 0.75, wobble(mesh, 0.24, seed))
 
 
@@ -135,7 +135,7 @@ def between_legs(m: Measures, mesh: Cloth, lift: Array, gap_m: float = 0.0015) -
 
 # --- hems -------------------------------------------------------------------------------------------------------------
 def border_edges(faces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Directed edges of faces that no other face has the other way round [E, 2]."""
+    """Return the directed edges of faces that no other face has in the opposite direction [E, 2]."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     size = int(faces.max()) + 1
     there = np.isin(edges[:, 0] * size + edges[:, 1], edges[:, 1] * size + edges[:, 0])

@@ -14,7 +14,7 @@ from h3data.bodies.people.look.patches import SHADE_UNIT, SHARE_UNIT, UNIT_M, ca
 from h3data.geometry import Array, normalized
 
 SNAP = 1e-4
-"""Vertices nearer to a border than this [m] count as beyond it: no slivers thinner than a tenth of a millimetre."""
+"""Distance from a border below which vertices count as beyond it [m], so that no slivers are thinner."""
 WEIGHT_UNIT = 1 / 255
 
 Field = Callable[[Cloth], Array]
@@ -29,7 +29,7 @@ class Sheet(Cloth):
     """Slot of each vertex, shape [V]."""
 
     def mesh(self) -> Cloth:
-        """The piece as cloth, with skin weights."""
+        """Return the piece as cloth, with skin weights."""
         return Cloth(vertices=self.vertices, weights=self.weights, faces=self.faces)
 
 
@@ -45,7 +45,7 @@ def sheet(body: Cloth, faces: NDArray[np.int32]) -> Sheet:
 
 
 def _split(s: Sheet, edges: NDArray[np.int64], t: Array) -> Sheet:
-    """With vertices added at ``t`` of edges [E, 2]; faces as they were."""
+    """Return a mesh with vertices added at ``t`` of edges [E, 2]; the faces are unchanged."""
     a, b = edges.T
     t = t[:, None]
     return replace(
@@ -196,7 +196,7 @@ class Ground:
         return point if draft.offset is None else point + draft.offset
 
     def arrays(self, draft: Draft, part: str, *, ruler: tuple[int, int] = (0, 1)) -> dict[str, NDArray]:
-        """The arrays of the patch (`h3data.bodies.people.look.patches.read_patch`)."""
+        """Return the arrays of the patch (`h3data.bodies.people.look.patches.read_patch`)."""
         corners, shares, height = self.attached(draft.mesh.vertices, part)
         weights = draft.mesh.weights if draft.weights is None else draft.weights
         order = np.argsort(-weights, axis=1, kind="stable")[:, :4]

@@ -33,7 +33,7 @@ from h3data.geometry import Array, normalized
 
 Collar = Literal["none", "rib", "shirt", "hood", "lapels"]
 FINE_M = 0.0172
-"""Edges of the full sheets that are longer than this [m] are halved."""
+"""Length above which edges of the full sheets are halved [m]."""
 HOLLOWS = {True: 130.0, False: 14.0}
 """Strength [1/m] with which hollows are darkened in full and in light meshes: the latter's neighbours are three times as far
 away, so a surface of the same curvature lies ten times as deep between them."""
@@ -197,7 +197,7 @@ def top(ground: Ground, skin: Sheet, spec: Top, *, fine: bool) -> Draft:
 
 
 def _hanging(weights: Array) -> Array:
-    """Weights of a top: what hangs over the hips follows the thighs by half."""
+    """Return the weights of a top; the part that hangs over the hips follows the thighs by half."""
     out = weights.copy()
     for side in ("left", "right"):
         hip = JOINT_INDEX[f"{side}_hip"]
@@ -254,7 +254,7 @@ def top_lift(ground: Ground, m: Measures, mesh: Cloth, spec: Top) -> Array:
 
 
 def _sewn(ground: Ground, draft: Draft, source: NDArray[np.int64], spec: Top, *, fine: bool) -> list[Draft]:
-    """Collars, hoods and buttons."""
+    """Return collars, hoods and buttons."""
     m = ground.base.measures
     shown = ground.shown(draft, "skin")
     parts: list[Draft] = []
@@ -312,7 +312,7 @@ def _cord(ground: Ground, ring: Array, side: int) -> Draft:
 
 
 def _shirt_collar(ground: Ground, ring: Array, across: Array, front: Array, *, fine: bool) -> list[Draft]:
-    """A stand round the neck that folds over, open in front, with two points."""
+    """Return a shirt collar: a stand round the neck that folds over, open in front, with two points."""
     n = len(ring)
     order = np.arange(1, n)  # from beside the middle of the front once round
     base, out, f = ring[order], across[order], front[order][:, None]
@@ -337,7 +337,7 @@ def _shirt_collar(ground: Ground, ring: Array, across: Array, front: Array, *, f
 
 
 def _buttons(ground: Ground, shown: Array, m: Measures, spec: Top) -> list[Draft]:
-    """Small discs along the placket."""
+    """Return buttons as small discs along the placket."""
     y1 = m.neck_joint[1] + (spec.neck[0] - spec.neck[1] * 0.055) * m.stature - 0.02
     y0 = m.pelvis[1] + spec.hem * m.stature + 0.05
     near = (np.abs(shown[:, 0] - 0.004) < 0.03) & (shown[:, 2] > m.pelvis[2])

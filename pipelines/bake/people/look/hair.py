@@ -89,7 +89,7 @@ class Skull:
         self.round_head, self.with_ears = Round(ground, ears < 0.2), Round(ground, ears >= 0.0)
 
     def at(self, polar_deg: Array, azimuth: Array, grid: Array | None = None) -> Array:
-        """Points of the cage [..., 3] at polar angles [deg] and azimuths [rad]."""
+        """Return points of the cage [..., 3] at polar angles [deg] and azimuths [rad]."""
         g = self.grid if grid is None else grid
         row = np.clip((polar_deg - np.degrees(np.radians(0.5))) / (HEAD_POLAR_DEG - 0.5), 0, 1) * (HEAD_ROWS - 1)
         column = (azimuth / (2 * np.pi) * HEAD_COLUMNS) % HEAD_COLUMNS
@@ -130,7 +130,7 @@ class Round:
         self.radius: Any = gaussian_filter(radius, 0.7, mode=ROUND)
 
     def __call__(self, points: Array) -> Array:
-        """Distance of the surface of head and neck from the axis, at the height and azimuth of points [..., 3] [m]."""
+        """Return the distance of head and neck from the axis at the height and azimuth of points [..., 3] [m]."""
         from scipy.ndimage import map_coordinates
 
         rows, columns = self.radius.shape
@@ -142,7 +142,7 @@ class Round:
 
 
 def _outside(head: Round, points: Array, room: Array) -> Array:
-    """Points pushed away from the vertical axis to where they are ``room`` [m] outside; negative room leaves them."""
+    """Return points moved away from the vertical axis until they are ``room`` [m] outside, if ``room`` is positive."""
     flat = (points - [0, 0, head.z]) * [1, 0, 1]
     r = np.maximum(np.linalg.norm(flat, axis=-1), 1e-6)
     wanted = np.where((room > 0) & (points[..., 1] < head.high - 0.045), head(points) + room, 0.0)
@@ -239,7 +239,7 @@ def under_hair(ground: Ground, spec: Hair, points: Array) -> Array:
 
 
 def _thickness(spec: Hair, polar: Array, degrees: Array, t: Array, hangs: NDArray[np.bool_], *, fine: bool) -> Array:
-    """Returns how far the shell is off the skull [m]: full on top, thin towards the neck, sunk where nothing grows."""
+    """Return how far the shell is off the skull [m]: full on top, thin towards the neck, sunk where nothing grows."""
     top = smoothstep(98, 20, polar)
     full = spec.side_m + (spec.top_m - spec.side_m) * top
     nape = 1 - 0.45 * smoothstep(95, 125, polar) * smoothstep(110, 150, degrees)
@@ -279,7 +279,7 @@ def _streaks(spec: Hair, azimuth: Array, row: NDArray[np.int64], *, fine: bool) 
 
 
 def _hair_weights(m: Measures, points: Array) -> Array:
-    """The head's, and of what hangs on the back, the trunk's."""
+    """Return the weights of hair: those of the head, and of the trunk for hair that hangs on the back."""
     weights = np.zeros((len(points), JOINT_COUNT))
     chin = m.eye[1] - 0.115
     low = 0.75 * smoothstep(chin - 0.01, chin - 0.14, points[:, 1])
@@ -290,7 +290,7 @@ def _hair_weights(m: Measures, points: Array) -> Array:
 
 
 def _off_the_shoulders(ground: Ground, fall: Array, hangs: NDArray[np.bool_], roots: Array) -> Array:
-    """Vertices of falling hair, those that hang pushed out of neck, shoulders and back."""
+    """Return the vertices of falling hair, those that hang pushed out of neck, shoulders and back."""
     skin = ground.base.part("skin")
     out = fall.copy()
     for _ in range(3):
@@ -308,7 +308,7 @@ def _off_the_shoulders(ground: Ground, fall: Array, hangs: NDArray[np.bool_], ro
 
 
 def _knot(skull: Skull, kind: str, *, fine: bool) -> Draft:
-    """A bun, or a tail with its band, at the back of the head."""
+    """Return a bun, or a tail with its band, at the back of the head."""
     back = skull.at(np.array([86.0 if kind == "bun" else 80.0]), np.array([np.pi]))[0]
     if kind == "bun":
         n = 9 if fine else 5
@@ -352,7 +352,7 @@ def _knot(skull: Skull, kind: str, *, fine: bool) -> Draft:
 
 
 def _wrap(ground: Ground, skull: Skull, *, fine: bool) -> Draft:
-    """The scarf round cheeks, chin and neck: rings from the edge of the cap down to the collar."""
+    """Return a scarf round cheeks, chin and neck: rings from the edge of the cap down to the collar."""
     m = ground.base.measures
     rows, columns = (14, 48) if fine else (5, 14)
     azimuth = np.linspace(0, 2 * np.pi, columns, endpoint=False)

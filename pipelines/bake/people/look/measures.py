@@ -16,13 +16,13 @@ from h3data.geometry import Array, normalized
 
 
 def smoothstep(low: float, high: float, x: Array) -> Array:
-    """0 below ``low``, 1 above ``high``, smooth between (or the reverse, for ``low`` > ``high``)."""
+    """Return 0 below ``low``, 1 above ``high``, and smooth values between (the reverse for ``low`` > ``high``)."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
 
 
 def bump(x: Array, middle: float, width: float) -> Array:
-    """1 at ``middle``, falling to 0 as a bell of this ``width``."""
+    """Return 1 at ``middle``, falling to 0 as a bell of a given ``width``."""
     return np.exp(-(((x - middle) / width) ** 2))
 
 
@@ -62,7 +62,7 @@ class Measures:
         self.head_size = self.stature - float(self.eye[1])
 
     def is_eye(self, mesh: Cloth) -> NDArray[np.bool_]:
-        """Vertices of the eyeballs."""
+        """Return a mask of the vertices of the eyeballs."""
         return joint_weight(mesh, ("left_eye_smplhf", "right_eye_smplhf")) > 0.9
 
     def arms(self, mesh: Cloth) -> Array:
@@ -70,7 +70,7 @@ class Measures:
         return joint_weight(mesh, arm_joints("left")) + joint_weight(mesh, arm_joints("right"))
 
     def beyond(self, mesh: Cloth, start: str, end: str, share: float) -> Array:
-        """Beyond a plane across the bone from joint ``start`` to ``end`` of each arm [m]; -1 elsewhere."""
+        """Return the distance beyond a plane across the bone from ``start`` to ``end`` of each arm [m]; -1 elsewhere."""
         result = np.full(len(mesh.vertices), -1.0)
         for side in ("left", "right"):
             near, far = self.rig.joint(f"{side}_{start}"), self.rig.joint(f"{side}_{end}")
@@ -79,7 +79,7 @@ class Measures:
         return result
 
     def along_arm(self, mesh: Cloth) -> tuple[Array, Array]:
-        """Place along the arm (0 shoulder, 1 elbow, 2 wrist) and angle about it [rad], each [V]."""
+        """Return the place along the arm (0 shoulder, 1 elbow, 2 wrist) and the angle about it [rad], each [V]."""
         left = mesh.vertices[:, 0] > 0
         out, angle = np.zeros(len(mesh.vertices)), np.zeros(len(mesh.vertices))
         for side, mine in (("left", left), ("right", ~left)):
@@ -97,7 +97,10 @@ class Measures:
         return out, angle
 
     def along_leg(self, mesh: Cloth) -> tuple[Array, Array, Array]:
-        """Place along the leg (0 hip, 1 knee, 2 ankle), angle about it (0 front, positive outside) and distance from it."""
+        """Return place along the leg (0 hip, 1 knee, 2 ankle), angle about it and distance from it.
+
+        The angle is 0 in front and positive outside [rad].
+        """
         y = mesh.vertices[:, 1]
         hip = self.rig.joint("left_hip")
         knots = np.array([self.ankle[1], self.knee[1], hip[1], hip[1] + 0.4])
@@ -107,5 +110,5 @@ class Measures:
         return u, np.arctan2(outside, front), np.hypot(outside, front)
 
     def azimuth(self, mesh: Cloth) -> Array:
-        """Angle about the trunk [rad]: 0 in front, positive on the left."""
+        """Return the angle about the trunk [rad]: 0 in front, positive on the left."""
         return np.arctan2(mesh.vertices[:, 0], mesh.vertices[:, 2] - float(self.pelvis[2]))

@@ -97,7 +97,7 @@ def light_sheet(base: Base) -> Sheet:
 
 
 def _swollen(body: Cloth) -> Array:
-    """Vertices with head and hands enlarged from where they begin, smoothly by their skin weights."""
+    """Return the vertices with head and hands enlarged from where they begin, smoothly by their skin weights."""
     vertices = body.vertices.copy()
     parts = [
         (joint_weight(body, ("head", "jaw")), HEAD_DETAIL),
@@ -143,7 +143,7 @@ def skin_draft(ground: Ground, s: Sheet) -> Draft:
 
 
 def hairline(m: Measures, mesh: Cloth, name: str) -> Array:
-    """Above the hairline, whose height is a smooth function of the azimuth round the head (0 = front) [m]."""
+    """Return the distance above the hairline, whose height is a smooth function of the azimuth (0 = front) [m]."""
     from scipy.interpolate import PchipInterpolator
 
     x, y, z = mesh.vertices.T
@@ -155,7 +155,7 @@ def hairline(m: Measures, mesh: Cloth, name: str) -> Array:
 
 
 def beard(m: Measures, mesh: Cloth) -> Array:
-    """Inside the beard: cheeks below a line from ear to mouth, chin and upper lip, but not the lips [m]."""
+    """Return the distance inside the beard: cheeks below a line from ear to mouth, chin and upper lip [m]."""
     x, y, z = mesh.vertices.T
     side, down = np.abs(x), m.eye[1] - y
     forward = z - m.head_z

@@ -61,7 +61,7 @@ def wardrobe_arrays(base: Base) -> Arrays:
 
 
 def _merged(parts: list[Arrays]) -> Arrays:
-    """Patches over different parts of the base as one."""
+    """Return several patches over different parts of the base as one."""
     starts = np.cumsum([0, *(len(p["lift"]) for p in parts)])
     out = {key: np.concatenate([p[key] for p in parts]) for key in parts[0] if parts[0][key].ndim and key != "ruler"}
     faces = np.concatenate([p["faces"] + int(k) for p, k in zip(parts, starts[:-1], strict=True)])
@@ -70,7 +70,7 @@ def _merged(parts: list[Arrays]) -> Arrays:
 
 
 def _covered(base: Base, name: str, mesh: Cloth) -> Array:
-    """Returns how far inside a garment each vertex of the skin is [m]."""
+    """Return how far inside a garment each vertex of the skin is [m]."""
     m = base.measures
     y, arms = mesh.vertices[:, 1], m.arms(mesh)
     if name in SHOES:

@@ -44,7 +44,7 @@ class _Body:
         self.shapes.append(box_part((a + b) / 2, b - a))
 
     def shell(self, x: Span, y: Span, z: Span, outside: Color, inside: Color, *, wall: float = BOARD_M) -> None:
-        """Five walls around a room that is open in front, +Z."""
+        """Build five walls around a room that is open in front, +Z."""
         (x0, x1), (y0, y1), (z0, z1) = x, y, z
         for low, high in (
             ((x0, y0, z0), (x0 + wall, y1, z1)),
@@ -135,7 +135,7 @@ def _drawer(name: str, x: Span, y: Span, z: Span, front: float, color: Color, me
 def _fronts(
     x: Span, y: Span, z: float, colors: Sequence[Color], metal: Color, shelves: Sequence[Sequence[str]], *, knob: bool
 ) -> list[MovingPart]:
-    """Doors side by side over a width; ``shelves`` are the surfaces behind each."""
+    """Return the doors side by side over a width; ``shelves`` are the surfaces behind each."""
     parts, count = [], len(colors)
     for i, color in enumerate(colors):
         x0, x1 = (x[0] + (i + k) * (x[1] - x[0]) / count for k in (0, 1))

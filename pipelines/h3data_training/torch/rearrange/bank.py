@@ -46,9 +46,9 @@ class RearrangeBank:
     """Bank of N episodes of K objects in R homes, with the shortest paths in them.
 
     Paths to places are numbered ``(who * 2 + at_goal) * K + object``, with ``who = 2`` for the floor below. They are
-    followed by the paths of both agents to the M handles of doors and drawers that they may open, numbered ``6 K + who
-    * M + part``. There are F paths in total. Points of a path are the n corners of the home, then the S places at its
-    end (`sim_kinematic.agents.oracle.ways.PathTable`).
+    followed by the paths of both agents to the M handles of doors and drawers that they may open, numbered
+    ``6 K + who * M + part``. There are F paths in total. Points of a path are the n corners of the home, then the S
+    places at its end (`sim_kinematic.agents.oracle.ways.PathTable`).
     """
 
     spec: RearrangeSpec
@@ -245,7 +245,7 @@ def _ways(episode: RearrangeEpisode, parts: tuple[int, ...]) -> list[PathTable]:
 
 
 def _spots(episode: RearrangeEpisode, parts: tuple[int, ...]) -> list[Array]:
-    """Starts and goals of the objects, then handles, [2 K + M, 3]."""
+    """Return the starts and goals of the objects, then handles, [2 K + M, 3]."""
     handles = [errands_of(episode, ROBOT, parts).to_part[joint].point for joint in parts]
     return [*(t.start[:3] for t in episode.targets), *(t.goal for t in episode.targets), *handles]
 

@@ -202,7 +202,10 @@ class View(NamedTuple):
         return one_of(self.does.last, len(self.choices)) & (self.does.outcome == code)[:, None]
 
     def allowed(self) -> Tensor:
-        """Return a mask [W, C] of choices that the agent's hand allows (`sim_kinematic.agents.skills`)."""
+        """Return a mask of the choices that the agent's hand allows, bool [W, C].
+
+        The rules are those of `sim_kinematic.agents.skills.Objects.why_not`.
+        """
         return precondition(self.choices, every_choice(self.choices, len(self.now.xz)), self.hands)
 
 

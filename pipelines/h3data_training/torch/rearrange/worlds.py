@@ -128,7 +128,7 @@ class RearrangeTensors:
         )
 
     def _moved(self, play: Play, robot_choice: Tensor, human_choice: Tensor) -> Play:
-        """After a step of those that go on: people first, then robots, as on the CPU."""
+        """Return the state of unfinished worlds after a step: people first, then robots, as on the CPU."""
         places = self.tables.at(play.episode)
         hands = play.hands
         before = self._poses(play.robot, play.human)
@@ -226,7 +226,7 @@ class RearrangeTensors:
         return play._replace(reward=reward, terminated=terminated, truncated=truncated, ended=ends)
 
     def _remembered(self, play: Play) -> dict[str, Tensor]:
-        """Memory of a task that is not the built-in one if all worlds began in their present state."""
+        """Return the memory of a task that is not the built-in one if all worlds began in their present state."""
         if self._is_usual:
             return {}
         rows: Any = torch.arange(len(play.steps), device=self.device)
@@ -234,7 +234,7 @@ class RearrangeTensors:
         return {name: typed(values, self.dtype) for name, values in (begun or {}).items()}
 
     def _begun(self, before: Play, after: Play, fresh: Tensor) -> Play:
-        """Worlds that are ``fresh`` [W] at the start of their next episode, the others as they are ``after``."""
+        """Return the worlds that are ``fresh`` [W] at the start of their next episode, and the others as ``after``."""
         number = (before.episode + 1) % len(self.bank)
         start = self._at_start(number, self.tables.starts[number])
         kept = [choose(fresh, a, b) for a, b in zip(start.tensors(), after.tensors(), strict=True)]
@@ -307,7 +307,7 @@ class RearrangeTensors:
 
     @staticmethod
     def _poses(robot: RobotTensors, human: HumanTensors) -> Tensor:
-        """``(x, z, heading)`` of both, [W, 2, 3]."""
+        """Return ``(x, z, heading)`` of both, [W, 2, 3]."""
         return torch.stack([torch.cat([own.xz, own.heading[:, None]], 1) for own in (robot, human)], 1)
 
 

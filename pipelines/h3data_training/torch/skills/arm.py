@@ -31,12 +31,12 @@ class _Joint:
     """The joint of one link, as products with a constant matrix [3, 10]: where it is, and the three parts of its rotation."""
 
     column: int
-    """Column of the arm's joint that moves it; -1 if none does."""
+    """Column of the arm's joint that moves this joint; -1 if none does."""
     gain: float
     offset: float
     parts: Tensor
     slides: Tensor | None
-    """Its axis [3], where it slides."""
+    """Axis of the joint [3], if it slides."""
 
 
 class Arm:

@@ -83,7 +83,7 @@ class SkillCameras:
         return self.renderer.render(self._camera, outputs=outputs, poses=parts[:, -1])
 
     def _frames_of(self, play: SkillPlay) -> tuple[Tensor, Tensor]:
-        """World matrices of the robot's links and camera [W, N + 1, 3, 4], and of all that is moved in a home [W, M, 3, 4]."""
+        """Return world matrices of the robot's links and camera [W, N + 1, 3, 4], and of moved things [W, M, 3, 4]."""
         place = self._place[play.episode]
         frames = self._arm.frames(play.joints, self._links).float()
         camera = frames[:, -1]

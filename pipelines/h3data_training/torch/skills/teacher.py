@@ -80,7 +80,7 @@ def taught(sim: SkillTensors, play: SkillPlay, hold: int, *, by_sight: bool = Fa
 
 
 def _seen(robot: RobotTensors, points: Tensor) -> Tensor:
-    """Floor points [W, 2] as robots see them: forward and left [W, 2] [m]."""
+    """Return the floor points [W, 2] as robots see them: forward and left [W, 2] [m]."""
     return in_base_frame(robot.xz, robot.heading, points, xp=torch)  # type: ignore[arg-type]
 
 

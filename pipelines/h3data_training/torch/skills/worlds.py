@@ -83,7 +83,7 @@ class SkillPlay(NamedTuple):
     """True if the skill reached its time limit, bool [W]."""
 
     def tensors(self) -> Iterator[Tensor]:
-        """Return all tensors, in a fixed order."""
+        """Yield all tensors, in a fixed order."""
         for part in self:
             yield from (part if isinstance(part, tuple) else (part,))
 
@@ -319,7 +319,7 @@ class SkillTensors:
     def _turned_objects(
         self, play: SkillPlay, episode: Tensor, hand: Hand, held: Tensor, carried: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Axes of the objects after a step, [W, K, 3, 3], and of the held one in its hand, [W, 3, 3].
+        """Return the axes of the objects after a step, [W, K, 3, 3], and of the held one in its hand, [W, 3, 3].
 
         An object that is taken keeps its rotation; one that is held at the start of an episode is turned like the hand.
         """
@@ -357,7 +357,7 @@ class SkillTensors:
         )
 
     def _facing(self, now: SkillPlay) -> tuple[Tensor, Tensor]:
-        """Straight distance from the base to the target on the floor plane [W] [m], and the cosine to it."""
+        """Return the straight distance from the base to the target on the floor plane [W] [m], and the cosine to it."""
         gap = self._point[now.episode][:, 0:3:2] - now.robot.xz
         straight = torch.hypot(gap[:, 0], gap[:, 1])
         return straight, (gap * heading_direction(now.robot.heading)).sum(-1) / straight.clamp_min(1e-9)
@@ -372,7 +372,7 @@ class SkillTensors:
         return reward, success, torch.zeros_like(success), torch.zeros_like(success)
 
     def _nearer(self, before: SkillPlay, now: SkillPlay) -> Tensor:
-        """By how much the hand has come nearer to the target, along the path and from its end [W] [m]."""
+        """Return by how much the hand has come nearer to the target, along the path and from its end [W] [m]."""
         paths = before.way.clamp_max(FAR_M) - now.way.clamp_max(FAR_M)
         return paths + before.apart - now.apart
 
