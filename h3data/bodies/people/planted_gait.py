@@ -88,6 +88,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
         origin=np.zeros(2),
         cell_m=1.0,
         heights=LEVEL,
+        clear=0.0,
     )
 
 

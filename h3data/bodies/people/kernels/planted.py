@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from h3data.bodies.people.kernels.legs import LegMeasures, lowest, sinking, write_legs
+from h3data.bodies.people.kernels.legs import KNEES, KNEES_OUT, LegMeasures, lowest, sinking, write_legs
 from h3data.bodies.people.kernels.steps import (
     beside_steps,
     on_a_tread,
@@ -30,7 +30,7 @@ from h3data.bodies.people.kernels.steps import (
     tread_of,
     under_foot,
 )
-from h3data.bodies.people.kernels.tuple_math import from_vector, inverse, multiply, nlerp, put, row3, row4, turned
+from h3data.bodies.people.kernels.tuple_math import from_vector, inverse, multiply, nlerp, plus, put, row3, row4, turned
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 from h3data.kernels import kernel, kernel_part
@@ -104,6 +104,8 @@ CLEARANCE_M = 0.012
 FOOT_ROOM_M = 0.03
 """Distance of heel and toe tip of a swinging foot from walls and furniture [m]. With 6 cm, people whose root is 25 cm
 from a wall never stopped correcting the positions of their feet."""
+KNEE_SHARE, KNEE_ROOM_M, KNEE_LOOKS, KNEE_MOST = 0.5, 0.095, 3, 0.8
+LOW_AHEAD_M = 0.25
 SLIDES, LOOKS, TOUCHES_M = 3, 12, 2e-3
 """Largest number of straight lines, and of samples of the map on each, by which heel and toes slide from below the root
 along obstacles to their position. Moved along the gradient of the distances instead, some feet ended on the far side of
@@ -167,6 +169,9 @@ class GaitTables(NamedTuple):
     """Side of the cells of ``sdf`` [m]."""
     heights: Array
     """Table of floor heights (`h3data.scene.floor_heights`), [K, 10]; [0, 10] if the floor is level."""
+    clear: float
+    """1 for people who are only drawn, whose knees and swinging feet keep clear of ``sdf``; 0 for people whose joints are
+    recorded."""
 
 
 @kernel_part(borrows=True)
@@ -265,7 +270,7 @@ def _slides_to(table, x, z, to_x, to_z):
 
 
 @kernel_part(borrows=True)
-def _beside_things(table, state, foot, left, ahead, yaw):
+def _beside_things(table, state, foot, left, ahead, yaw, flat):
     """A place of a foot in the body frame, moved out of walls and furniture: (left, ahead)."""
     if table.sdf.shape[0] == 0:
         return left, ahead
@@ -276,7 +281,7 @@ def _beside_things(table, state, foot, left, ahead, yaw):
     moved = False
     # heel and toe tip; the ball lies between them
     for point in (0, 2):
-        at_x, at_z = x + c * feet[point, 2], z - s * feet[point, 2]
+        at_x, at_z = x + c * flat * feet[point, 2], z - s * flat * feet[point, 2]
         if math.hypot(at_x - state[X], at_z - state[Z]) > near:
             slid_x, slid_z = _slides_to(table, state[X], state[Z], at_x, at_z)
             if abs(slid_x - at_x) + abs(slid_z - at_z) > 1e-6:
@@ -402,7 +407,7 @@ def _swing_line(table, k, f, state, foot, share):
 def _swing_place(table, k, f, state, foot):
     """Returns where a swinging foot is over the floor, in the body frame, and how far it has moved since it left."""
     left, ahead, yaw, done = _swing_line(table, k, f, state, foot, state[FOOT + foot * FOOT_COLUMNS + SHARE])
-    left, ahead = _beside_things(table, state, foot, left, ahead, yaw)
+    left, ahead = _beside_things(table, state, foot, left, ahead, yaw, 1.0)
     return left, ahead, yaw, done
 
 
@@ -443,12 +448,29 @@ def _gait_shape(table, k, f, state, foot):
     forwards = 1.0 if state[SPEED] >= 0.0 else 0.3
     pitch, bend = _curve(table.swing_foot, k, f, share, 0), _curve(table.swing_foot, k, f, share, 1)
     along, up = _curve(table.swing_path, k, f, share, 0), _curve(table.swing_path, k, f, share, 1)
+    low = _low(table, state, foot)
     off = math.hypot(state[at + LEFT_AT] - state[at + LANDS_AT], state[at + LEFT_AT + 1] - state[at + LANDS_AT + 1])
     # a turn of the foot counts as its toes move: they are about 0.2 m from the ankle
     off += 0.2 * abs(state[at + LEFT_AT + 2] - state[at + LANDS_AT + 2])
     # its square has no speed at either end, as the path has none
     arc = math.sin(math.pi * min(max((share - state[at + SINCE]) / max(1 - state[at + SINCE], 1e-6), 0.0), 1.0))
-    return forwards * pitch, forwards * bend, forwards * along, up + min(LIFT * off, LIFT_MOST_M) * arc * arc
+    up += min(LIFT * off, LIFT_MOST_M) * arc * arc
+    if low < 1.0:
+        up = table.ankle_height + low * (up - table.ankle_height)
+        forwards *= low
+    return forwards * pitch, forwards * bend, forwards * along, up
+
+
+@kernel_part(borrows=True)
+def _low(table, state, foot):
+    if table.clear == 0.0 or table.sdf.shape[0] == 0:
+        return 1.0
+    side = table.half_width if foot == 0 else -table.half_width
+    if sample_sdf(table.sdf, table.origin, table.cell_m, state[X], state[Z]) > LOW_AHEAD_M + 0.1:
+        return 1.0
+    x, z, _ = _to_world(state[X], state[Z], state[HEADING], 1.4 * side, LOW_AHEAD_M, 0.0)
+    room = sample_sdf(table.sdf, table.origin, table.cell_m, x, z)
+    return min(max(0.3 + 0.7 * room / 0.10, 0.3), 1.0)
 
 
 @kernel_part(borrows=True)
@@ -480,7 +502,38 @@ def _ankle(table, k, f, state, foot):
     c, s = math.cos(yaw), math.sin(yaw)
     # last, because the height of the floor depends on how far ahead the ankle is
     up += _above_root(table, k, f, state, foot, along)
-    return (left + s * along, up, ahead + c * along), pitch, bend, yaw
+    left, ahead = left + s * along, ahead + c * along
+    if table.clear > 0.0 and state[FOOT + foot * FOOT_COLUMNS + AIR] > 0.0:
+        left, ahead = _beside_things(table, state, foot, left, ahead, yaw, math.cos(math.radians(pitch)))
+    return (left, up, ahead), pitch, bend, yaw
+
+
+@kernel_part(borrows=True)
+def _knee(table, state, hip, ankle, yaw, side):
+    """Outward component of a knee."""
+    plain = KNEES_OUT if side == 0 else -KNEES_OUT
+    if table.clear == 0.0:
+        return plain
+    aim = math.tan(KNEE_SHARE * yaw) + plain
+    if table.sdf.shape[0] == 0:
+        return aim * math.cos(yaw) - math.sin(yaw)
+    half = (hip[0] - ankle[0]) ** 2 + (hip[1] - ankle[1]) ** 2 + (hip[2] - ankle[2]) ** 2
+    thigh, shank = table.legs.thigh, table.legs.shank
+    part = (thigh * thigh - shank * shank + half) / (2 * half)
+    bow = math.sqrt(max(thigh * thigh - part * part * half, 0.0))
+    turn = math.atan(aim)
+    for _ in range(KNEE_LOOKS):
+        c, s = math.cos(turn), math.sin(turn)
+        left, ahead = hip[0] + part * (ankle[0] - hip[0]) + bow * s, hip[2] + part * (ankle[2] - hip[2]) + bow * c
+        x, z, _ = _to_world(state[X], state[Z], state[HEADING], left, ahead, 0.0)
+        lacks = KNEE_ROOM_M - sample_sdf(table.sdf, table.origin, table.cell_m, x, z)
+        if lacks <= 0.0:
+            break
+        gx, gz = sdf_gradient(table.sdf, table.origin, table.cell_m, x, z)
+        g_left, g_ahead, _ = _to_body(0.0, 0.0, state[HEADING], gx, gz, 0.0)
+        turn += min(lacks / max(bow, 0.05), 0.5) * (c * g_left - s * g_ahead)
+    aim = math.tan(min(max(turn, -KNEE_MOST), KNEE_MOST))
+    return aim * math.cos(yaw) - math.sin(yaw)
 
 
 @kernel_part(borrows=True)
@@ -890,6 +943,15 @@ def _settle_pelvis(table, k, f, state, dt):
 
 
 @kernel_part(borrows=True)
+def _knees(table, state, quats, pelvis, ankle, foot):
+    turn = row4(quats, 0)
+    place = (pelvis[0], pelvis[1], pelvis[2])
+    left = _knee(table, state, plus(place, turned(turn, row3(table.legs.hips, 0)), 1.0), row3(ankle, 0), math.radians(foot[0, 1]), 0)
+    right = _knee(table, state, plus(place, turned(turn, row3(table.legs.hips, 1)), 1.0), row3(ankle, 1), math.radians(foot[1, 1]), 1)
+    return left, right
+
+
+@kernel_part(borrows=True)
 def pose_state(table, state, quats, pelvis, ankle, foot, angles):
     """Write the pose of a state into ``quats`` [55, 4] and ``pelvis`` [3] [m], in the agent root frame."""
     k, f = _row(table, state[STYLE])
@@ -911,7 +973,7 @@ def pose_state(table, state, quats, pelvis, ankle, foot, angles):
         at, pitch, bend, yaw = _ankle(table, k, f, state, side)
         ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
         foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
-    write_legs(table.legs, quats, pelvis, ankle, foot, angles)
+    write_legs(table.legs, quats, pelvis, ankle, foot, _knees(table, state, quats, pelvis, ankle, foot), angles)
     to_root = row4(table.to_root.reshape(1, 4), 0)
     put(quats, 0, multiply(to_root, row4(quats, 0)))
     pelvis[0], pelvis[1], pelvis[2] = turned(to_root, (pelvis[0], pelvis[1], pelvis[2]))
@@ -999,6 +1061,6 @@ def plant_legs(table, state, quats, pelvis):
     place = turned(to_body, (pelvis[0], pelvis[1], pelvis[2]))
     sink = sinking(table.legs.hips, table.legs.longest, row4(quats, 0), place, ankle)
     pelvis[0], pelvis[1], pelvis[2] = place[0], place[1] - sink, place[2]
-    write_legs(table.legs, quats, pelvis, ankle, foot, angles)
+    write_legs(table.legs, quats, pelvis, ankle, foot, KNEES, angles)
     put(quats, 0, multiply(to_root, row4(quats, 0)))
     pelvis[0], pelvis[1], pelvis[2] = turned(to_root, (pelvis[0], pelvis[1], pelvis[2]))
