@@ -6,7 +6,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
 from h3data.bodies.people.gestures import add_gestures, lead_hands
-from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
+from h3data.bodies.people.planted_gait import drawn_in, planted_states, pose_planted
 from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
 from h3data.bodies.people.sitting import take_seats
 from h3data.bodies.robots.trot import legs_are_posed, trot
@@ -42,6 +42,9 @@ from h3data.replay.records import (
 from h3data.scene import Mesh, Scene, load_scene
 from h3data.scene.articulation import SceneJoints, joints_of
 from h3data.scene.floor_heights import LEVEL, room_heights
+
+if TYPE_CHECKING:
+    from h3data.bodies.people.kernels.planted import GaitTables
 
 _STAND_INS: Registry[Any] = Registry("h3data.stand_ins", {}, what="maker of stand-ins")
 
@@ -340,7 +343,8 @@ class PosedRecording:
         arms = columns[prefix + "motion_arms"][steps] if prefix + "motion_arms" in columns else None
         if self.stepping:
             # feet that stand do not slide, as they do in clips alone
-            quats, pelvis = pose_planted(on_stairs(body.gait_tables, self.heights), self._gait_of(agent, body)[steps])
+            tables, states = self._gait_of(agent, body)
+            quats, pelvis = pose_planted(tables, states[steps])
             if arms is not None:
                 draw_in(quats, arms, shoulders_forward=True)
         else:
@@ -362,11 +366,12 @@ class PosedRecording:
         """
         return LEVEL if self.scene is None else room_heights(self.scene.rooms)
 
-    def _gait_of(self, agent: int, body: Humanoid) -> Array:
+    def _gait_of(self, agent: int, body: Humanoid) -> tuple[GaitTables, Array]:
         if agent not in self._gaits:
             base = self.recording.agent_column(agent, "base_pose")
             time_s = self.recording.columns["time_ns"].astype(np.float64) * 1e-9
-            self._gaits[agent] = planted_states(on_stairs(body.gait_tables, self.heights), base, time_s)
+            tables = drawn_in(body.gait_tables, self.scene)
+            self._gaits[agent] = tables, planted_states(tables, base, time_s)
         return self._gaits[agent]
 
     def _gestures_of(self, agent: int) -> Array | None:
@@ -379,7 +384,7 @@ class PosedRecording:
         return {}
 
     @cached_property
-    def _gaits(self) -> dict[int, Array]:
+    def _gaits(self) -> dict[int, tuple[GaitTables, Array]]:
         return {}
 
     def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:

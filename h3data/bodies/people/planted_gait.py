@@ -15,13 +15,14 @@ from h3data.bodies.people.clips import TO_ROOT, Gaits
 from h3data.bodies.people.gait import stand_posture
 from h3data.bodies.people.legs import Posture
 from h3data.bodies.people.skeleton import JOINT_COUNT
+from h3data.errors import SceneError
 from h3data.geometry import Array, heading_from_quat
 from h3data.kernels.entries import Entries
-from h3data.scene.floor_heights import LEVEL
+from h3data.scene.floor_heights import LEVEL, room_heights
 
 if TYPE_CHECKING:
     from h3data.bodies.people.kernels.planted import GaitTables
-    from h3data.scene import FreeSpace
+    from h3data.scene import FreeSpace, Scene
 
 PHASES, SHARES = 64, 49
 STEP_S = 1 / 30
@@ -106,6 +107,21 @@ def on_floor(tables: GaitTables, free: FreeSpace) -> GaitTables:
 def on_stairs(tables: GaitTables, heights: Array) -> GaitTables:
     """Return the gaits of a body whose feet stand on the treads of stairs (`h3data.scene.floor_heights`)."""
     return tables._replace(heights=np.ascontiguousarray(heights, np.float64))
+
+
+def drawn_in(tables: GaitTables, scene: Scene | None) -> GaitTables:
+    """Return the gaits of a body that is only drawn: its legs keep clear of walls and furniture of a scene.
+
+    Without rooms and collision shapes, and without free floor, legs are those of `on_stairs`.
+    """
+    from h3data.scene.freespace.free_space import FreeSpace
+
+    if scene is None:
+        return tables
+    try:
+        return on_floor(tables, FreeSpace.from_scene(scene, method="shapes"))._replace(clear=1.0)
+    except SceneError:
+        return on_stairs(tables, room_heights(scene.rooms))
 
 
 def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None = None) -> Array:

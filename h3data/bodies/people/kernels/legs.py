@@ -38,6 +38,7 @@ LEG_JOINTS = np.array(
 KNEES_OUT = 0.10
 """Outward component of the direction in which knees point, if the component in the direction of the foot is 1."""
 KNEES = (KNEES_OUT, -KNEES_OUT)
+"""Components of both knees to the left, if they point where the feet do and a little outwards, as those of people do."""
 
 
 class LegMeasures(NamedTuple):
@@ -130,7 +131,7 @@ def sink_pelvis(legs, quats, pelvis, ankle):
 def write_legs(legs, quats, pelvis, ankle, foot, knees, angles):
     """Compute the local rotations of the leg joints of one pose, in place.
 
-    ``angles`` [2, 3] are filled with the lean of each thigh, the flexion of the knee [rad] and the distance from hip to
+    ``knees`` are the outward components of the directions of both knees (`KNEES`). ``angles`` [2, 3] are filled with the lean of each thigh, the flexion of the knee [rad] and the distance from hip to
     ankle [m].
     """
     pelvis_turn = row4(quats, 0)

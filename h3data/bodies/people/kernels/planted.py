@@ -30,7 +30,7 @@ from h3data.bodies.people.kernels.steps import (
     tread_of,
     under_foot,
 )
-from h3data.bodies.people.kernels.tuple_math import from_vector, inverse, multiply, nlerp, plus, put, row3, row4, turned
+from h3data.bodies.people.kernels.tuple_math import dot, from_vector, inverse, multiply, nlerp, plus, put, row3, row4, turned
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 from h3data.kernels import kernel, kernel_part
@@ -104,8 +104,13 @@ CLEARANCE_M = 0.012
 FOOT_ROOM_M = 0.03
 """Distance of heel and toe tip of a swinging foot from walls and furniture [m]. With 6 cm, people whose root is 25 cm
 from a wall never stopped correcting the positions of their feet."""
-KNEE_SHARE, KNEE_ROOM_M, KNEE_LOOKS, KNEE_MOST = 0.5, 0.095, 3, 0.8
-LOW_AHEAD_M = 0.25
+KNEE_SHARE, KNEE_ROOM_M, KNEE_LOOKS, KNEE_MOST_RAD = 0.5, 0.095, 3, 0.8
+"""Knees of drawn people: share of a foot's yaw by which its knee turns, distance of a knee from obstacles [m], largest
+number of looks at the map by which it turns away from them, and its largest yaw [rad]. Knees that point where the feet
+do were up to 8 cm inside counters from which somebody turned away: the trailing foot lags by up to 31 degrees."""
+AHEAD_M, ASIDE_SHARE, LOW, LOW_M = 0.25, 1.4, 0.3, 0.1
+"""Steps of drawn people get lower if a point before the swinging foot is nearer to an obstacle than `LOW_M` [m]: down to
+the share `LOW`, at an obstacle. The point is `AHEAD_M` ahead of the root [m], and aside by this share of the foot's place."""
 SLIDES, LOOKS, TOUCHES_M = 3, 12, 2e-3
 """Largest number of straight lines, and of samples of the map on each, by which heel and toes slide from below the root
 along obstacles to their position. Moved along the gradient of the distances instead, some feet ended on the far side of
@@ -170,8 +175,8 @@ class GaitTables(NamedTuple):
     heights: Array
     """Table of floor heights (`h3data.scene.floor_heights`), [K, 10]; [0, 10] if the floor is level."""
     clear: float
-    """1 for people who are only drawn, whose knees and swinging feet keep clear of ``sdf``; 0 for people whose joints are
-    recorded."""
+    """1 for people who are only drawn: knees and swinging feet, too, keep clear of the obstacles of ``sdf``. 0 for people
+    whose joints are recorded, so that these stay the same in any bit."""
 
 
 @kernel_part(borrows=True)
@@ -270,8 +275,18 @@ def _slides_to(table, x, z, to_x, to_z):
 
 
 @kernel_part(borrows=True)
+def _room_at(table, state, left, ahead):
+    """Distance of a place in the body frame to walls and furniture [m]."""
+    x, z, _ = _to_world(state[X], state[Z], state[HEADING], left, ahead, 0.0)
+    return sample_sdf(table.sdf, table.origin, table.cell_m, x, z)
+
+
+@kernel_part(borrows=True)
 def _beside_things(table, state, foot, left, ahead, yaw, flat):
-    """A place of a foot in the body frame, moved out of walls and furniture: (left, ahead)."""
+    """A place of a foot in the body frame, moved out of walls and furniture: (left, ahead).
+
+    ``flat`` is the share of its length that a pitched foot covers.
+    """
     if table.sdf.shape[0] == 0:
         return left, ahead
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
@@ -279,8 +294,8 @@ def _beside_things(table, state, foot, left, ahead, yaw, flat):
     # one look from the root answers for most feet in open rooms: nothing is nearer than that
     near = sample_sdf(table.sdf, table.origin, table.cell_m, state[X], state[Z]) - FOOT_ROOM_M
     moved = False
-    # heel and toe tip; the ball lies between them
-    for point in (0, 2):
+    # heel and toe tip; the ball lies between them, so that only corners reach it
+    for point in range(0, 3, 2 - int(table.clear)):
         at_x, at_z = x + c * flat * feet[point, 2], z - s * flat * feet[point, 2]
         if math.hypot(at_x - state[X], at_z - state[Z]) > near:
             slid_x, slid_z = _slides_to(table, state[X], state[Z], at_x, at_z)
@@ -433,6 +448,15 @@ def _curve(curves, k, f, share, i):
 
 
 @kernel_part(borrows=True)
+def _lowness(table, state, foot):
+    """Share to which a step is lowered, because a raised knee needs room ahead; 1 where there is enough."""
+    if table.clear == 0.0:
+        return 1.0
+    side = table.half_width if foot == 0 else -table.half_width
+    return min(max(LOW + (1 - LOW) / LOW_M * _room_at(table, state, ASIDE_SHARE * side, AHEAD_M), LOW), 1.0)
+
+
+@kernel_part(borrows=True)
 def _gait_shape(table, k, f, state, foot):
     """Pitch, bend [deg], and the ankle's place forward and up from a foot's place on the floor, as the gait has them."""
     at = FOOT + foot * FOOT_COLUMNS
@@ -448,29 +472,15 @@ def _gait_shape(table, k, f, state, foot):
     forwards = 1.0 if state[SPEED] >= 0.0 else 0.3
     pitch, bend = _curve(table.swing_foot, k, f, share, 0), _curve(table.swing_foot, k, f, share, 1)
     along, up = _curve(table.swing_path, k, f, share, 0), _curve(table.swing_path, k, f, share, 1)
-    low = _low(table, state, foot)
     off = math.hypot(state[at + LEFT_AT] - state[at + LANDS_AT], state[at + LEFT_AT + 1] - state[at + LANDS_AT + 1])
     # a turn of the foot counts as its toes move: they are about 0.2 m from the ankle
     off += 0.2 * abs(state[at + LEFT_AT + 2] - state[at + LANDS_AT + 2])
     # its square has no speed at either end, as the path has none
     arc = math.sin(math.pi * min(max((share - state[at + SINCE]) / max(1 - state[at + SINCE], 1e-6), 0.0), 1.0))
     up += min(LIFT * off, LIFT_MOST_M) * arc * arc
-    if low < 1.0:
-        up = table.ankle_height + low * (up - table.ankle_height)
-        forwards *= low
-    return forwards * pitch, forwards * bend, forwards * along, up
-
-
-@kernel_part(borrows=True)
-def _low(table, state, foot):
-    if table.clear == 0.0 or table.sdf.shape[0] == 0:
-        return 1.0
-    side = table.half_width if foot == 0 else -table.half_width
-    if sample_sdf(table.sdf, table.origin, table.cell_m, state[X], state[Z]) > LOW_AHEAD_M + 0.1:
-        return 1.0
-    x, z, _ = _to_world(state[X], state[Z], state[HEADING], 1.4 * side, LOW_AHEAD_M, 0.0)
-    room = sample_sdf(table.sdf, table.origin, table.cell_m, x, z)
-    return min(max(0.3 + 0.7 * room / 0.10, 0.3), 1.0)
+    low = _lowness(table, state, foot)
+    forwards *= low
+    return forwards * pitch, forwards * bend, forwards * along, up - (1 - low) * (up - table.ankle_height)
 
 
 @kernel_part(borrows=True)
@@ -504,36 +514,35 @@ def _ankle(table, k, f, state, foot):
     up += _above_root(table, k, f, state, foot, along)
     left, ahead = left + s * along, ahead + c * along
     if table.clear > 0.0 and state[FOOT + foot * FOOT_COLUMNS + AIR] > 0.0:
+        # once more: beside its place on the floor a swinging ankle reaches farther ahead
         left, ahead = _beside_things(table, state, foot, left, ahead, yaw, math.cos(math.radians(pitch)))
     return (left, up, ahead), pitch, bend, yaw
 
 
 @kernel_part(borrows=True)
-def _knee(table, state, hip, ankle, yaw, side):
-    """Outward component of a knee."""
-    plain = KNEES_OUT if side == 0 else -KNEES_OUT
+def _knee_out(table, state, quats, pelvis, ankle, foot, side):
+    """Returns the outward component of the direction of a knee, as `write_legs` needs it."""
+    out = KNEES_OUT if side == 0 else -KNEES_OUT
     if table.clear == 0.0:
-        return plain
-    aim = math.tan(KNEE_SHARE * yaw) + plain
-    if table.sdf.shape[0] == 0:
-        return aim * math.cos(yaw) - math.sin(yaw)
-    half = (hip[0] - ankle[0]) ** 2 + (hip[1] - ankle[1]) ** 2 + (hip[2] - ankle[2]) ** 2
-    thigh, shank = table.legs.thigh, table.legs.shank
-    part = (thigh * thigh - shank * shank + half) / (2 * half)
-    bow = math.sqrt(max(thigh * thigh - part * part * half, 0.0))
-    turn = math.atan(aim)
+        return out
+    # the knee is on a circle about the line from hip to ankle
+    hip = plus((pelvis[0], pelvis[1], pelvis[2]), turned(row4(quats, 0), row3(table.legs.hips, side)), 1.0)
+    path, thigh, shank = plus(row3(ankle, side), hip, -1.0), table.legs.thigh, table.legs.shank
+    square = dot(path, path)
+    part = (thigh * thigh - shank * shank + square) / (2 * square)
+    bow, yaw = math.sqrt(max(thigh * thigh - part * part * square, 0.0)), math.radians(foot[side, 1])
+    turn = KNEE_SHARE * yaw + out
     for _ in range(KNEE_LOOKS):
         c, s = math.cos(turn), math.sin(turn)
-        left, ahead = hip[0] + part * (ankle[0] - hip[0]) + bow * s, hip[2] + part * (ankle[2] - hip[2]) + bow * c
-        x, z, _ = _to_world(state[X], state[Z], state[HEADING], left, ahead, 0.0)
-        lacks = KNEE_ROOM_M - sample_sdf(table.sdf, table.origin, table.cell_m, x, z)
+        left, ahead = hip[0] + part * path[0] + bow * s, hip[2] + part * path[2] + bow * c
+        lacks = KNEE_ROOM_M - _room_at(table, state, left, ahead)
         if lacks <= 0.0:
             break
-        gx, gz = sdf_gradient(table.sdf, table.origin, table.cell_m, x, z)
-        g_left, g_ahead, _ = _to_body(0.0, 0.0, state[HEADING], gx, gz, 0.0)
-        turn += min(lacks / max(bow, 0.05), 0.5) * (c * g_left - s * g_ahead)
-    aim = math.tan(min(max(turn, -KNEE_MOST), KNEE_MOST))
-    return aim * math.cos(yaw) - math.sin(yaw)
+        x, z, _ = _to_world(state[X], state[Z], state[HEADING], left, ahead, 0.0)
+        away_x, away_z = sdf_gradient(table.sdf, table.origin, table.cell_m, x, z)
+        aside, onward, _ = _to_body(0.0, 0.0, state[HEADING], away_x, away_z, 0.0)
+        turn += min(lacks / max(bow, 0.05), 0.5) * (c * aside - s * onward)
+    return math.tan(min(max(turn, -KNEE_MOST_RAD), KNEE_MOST_RAD)) * math.cos(yaw) - math.sin(yaw)
 
 
 @kernel_part(borrows=True)
@@ -943,15 +952,6 @@ def _settle_pelvis(table, k, f, state, dt):
 
 
 @kernel_part(borrows=True)
-def _knees(table, state, quats, pelvis, ankle, foot):
-    turn = row4(quats, 0)
-    place = (pelvis[0], pelvis[1], pelvis[2])
-    left = _knee(table, state, plus(place, turned(turn, row3(table.legs.hips, 0)), 1.0), row3(ankle, 0), math.radians(foot[0, 1]), 0)
-    right = _knee(table, state, plus(place, turned(turn, row3(table.legs.hips, 1)), 1.0), row3(ankle, 1), math.radians(foot[1, 1]), 1)
-    return left, right
-
-
-@kernel_part(borrows=True)
 def pose_state(table, state, quats, pelvis, ankle, foot, angles):
     """Write the pose of a state into ``quats`` [55, 4] and ``pelvis`` [3] [m], in the agent root frame."""
     k, f = _row(table, state[STYLE])
@@ -973,7 +973,11 @@ def pose_state(table, state, quats, pelvis, ankle, foot, angles):
         at, pitch, bend, yaw = _ankle(table, k, f, state, side)
         ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
         foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
-    write_legs(table.legs, quats, pelvis, ankle, foot, _knees(table, state, quats, pelvis, ankle, foot), angles)
+    knees = (
+        _knee_out(table, state, quats, pelvis, ankle, foot, 0),
+        _knee_out(table, state, quats, pelvis, ankle, foot, 1),
+    )
+    write_legs(table.legs, quats, pelvis, ankle, foot, knees, angles)
     to_root = row4(table.to_root.reshape(1, 4), 0)
     put(quats, 0, multiply(to_root, row4(quats, 0)))
     pelvis[0], pelvis[1], pelvis[2] = turned(to_root, (pelvis[0], pelvis[1], pelvis[2]))
