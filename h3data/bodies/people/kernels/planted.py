@@ -111,6 +111,7 @@ do were up to 8 cm inside counters from which somebody turned away: the trailing
 AHEAD_M, ASIDE_SHARE, LOW, LOW_M = 0.25, 1.4, 0.3, 0.1
 """Steps of drawn people get lower if a point before the swinging foot is nearer to an obstacle than `LOW_M` [m]: down to
 the share `LOW`, at an obstacle. The point is `AHEAD_M` ahead of the root [m], and aside by this share of the foot's place."""
+CALM_LIFT, CALM_SWING = 0.6, 0.08
 SLIDES, LOOKS, TOUCHES_M = 3, 12, 2e-3
 """Largest number of straight lines, and of samples of the map on each, by which heel and toes slide from below the root
 along obstacles to their position. Moved along the gradient of the distances instead, some feet ended on the far side of
@@ -254,12 +255,12 @@ def _slides_to(table, x, z, to_x, to_z):
             break
         way_x, way_z = way_x / length, way_z / length
         # sphere tracing: within the free distance nothing can be hit, so each look may go as far as it says
-        room = sample_sdf(table.sdf, table.origin, table.cell_m, x, z) - FOOT_ROOM_M
+        room = sample_sdf(table.sdf, table.origin, table.cell_m, x, z) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
         for _ in range(LOOKS):
             if room <= TOUCHES_M or done >= length:
                 break
             done = min(done + room, length)
-            room = sample_sdf(table.sdf, table.origin, table.cell_m, x + way_x * done, z + way_z * done) - FOOT_ROOM_M
+            room = sample_sdf(table.sdf, table.origin, table.cell_m, x + way_x * done, z + way_z * done) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
         x, z = x + way_x * done, z + way_z * done
         if done >= length and room >= 0.0:
             break
@@ -290,13 +291,14 @@ def _beside_things(table, state, foot, left, ahead, yaw, flat):
     if table.sdf.shape[0] == 0:
         return left, ahead
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
-    c, s, feet = math.cos(heading), math.sin(heading), table.legs.feet[foot]
+    c, s, heel, tip = math.cos(heading), math.sin(heading), table.legs.feet[foot, 0, 2], table.legs.feet[foot, 2, 2]
     # one look from the root answers for most feet in open rooms: nothing is nearer than that
-    near = sample_sdf(table.sdf, table.origin, table.cell_m, state[X], state[Z]) - FOOT_ROOM_M
+    near = sample_sdf(table.sdf, table.origin, table.cell_m, state[X], state[Z]) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
     moved = False
-    # heel and toe tip; the ball lies between them, so that only corners reach it
-    for point in range(0, 3, 2 - int(table.clear)):
-        at_x, at_z = x + c * flat * feet[point, 2], z - s * flat * feet[point, 2]
+    # heel and toe tip; only corners reach in between
+    for point in range(2 + int(table.clear)):
+        along = flat * (heel, tip, 0.25 * heel + 0.75 * tip)[point]
+        at_x, at_z = x + c * along, z - s * along
         if math.hypot(at_x - state[X], at_z - state[Z]) > near:
             slid_x, slid_z = _slides_to(table, state[X], state[Z], at_x, at_z)
             if abs(slid_x - at_x) + abs(slid_z - at_z) > 1e-6:
@@ -477,7 +479,7 @@ def _gait_shape(table, k, f, state, foot):
     off += 0.2 * abs(state[at + LEFT_AT + 2] - state[at + LANDS_AT + 2])
     # its square has no speed at either end, as the path has none
     arc = math.sin(math.pi * min(max((share - state[at + SINCE]) / max(1 - state[at + SINCE], 1e-6), 0.0), 1.0))
-    up += min(LIFT * off, LIFT_MOST_M) * arc * arc
+    up += min((1 - CALM_LIFT * table.clear) * LIFT * off, LIFT_MOST_M) * arc * arc
     low = _lowness(table, state, foot)
     forwards *= low
     return forwards * pitch, forwards * bend, forwards * along, up - (1 - low) * (up - table.ankle_height)
@@ -756,7 +758,7 @@ def _toes(table, k, f, state, foot, share):
 @kernel_part(borrows=True)
 def _unhurried(table, k, f, state, ahead, dt):
     """The cycles, ``ahead`` at most, that the phase runs on in a step so that no swinging foot moves too fast."""
-    most = max(SWING_MPS, _at(table.swing, k, f)) * dt
+    most = max((1 - CALM_SWING * table.clear) * SWING_MPS, _at(table.swing, k, f)) * dt
     slowest = ahead
     for foot in range(2):
         share = state[FOOT + foot * FOOT_COLUMNS + SHARE]
