@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from h3data.bodies.people.kernels.legs import KNEES, KNEES_OUT, LegMeasures, lowest, sinking, write_legs
+from h3data.bodies.people.kernels.legs import KNEES, LegMeasures, lowest, sinking, write_legs
 from h3data.bodies.people.kernels.steps import (
     beside_steps,
     on_a_tread,
@@ -30,7 +30,18 @@ from h3data.bodies.people.kernels.steps import (
     tread_of,
     under_foot,
 )
-from h3data.bodies.people.kernels.tuple_math import dot, from_vector, inverse, multiply, nlerp, plus, put, row3, row4, turned
+from h3data.bodies.people.kernels.tuple_math import (
+    dot,
+    from_vector,
+    inverse,
+    multiply,
+    nlerp,
+    plus,
+    put,
+    row3,
+    row4,
+    turned,
+)
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 from h3data.kernels import kernel, kernel_part
@@ -104,14 +115,6 @@ CLEARANCE_M = 0.012
 FOOT_ROOM_M = 0.03
 """Distance of heel and toe tip of a swinging foot from walls and furniture [m]. With 6 cm, people whose root is 25 cm
 from a wall never stopped correcting the positions of their feet."""
-KNEE_SHARE, KNEE_ROOM_M, KNEE_LOOKS, KNEE_MOST_RAD = 0.5, 0.095, 3, 0.8
-"""Knees of drawn people: share of a foot's yaw by which its knee turns, distance of a knee from obstacles [m], largest
-number of looks at the map by which it turns away from them, and its largest yaw [rad]. Knees that point where the feet
-do were up to 8 cm inside counters from which somebody turned away: the trailing foot lags by up to 31 degrees."""
-AHEAD_M, ASIDE_SHARE, LOW, LOW_M = 0.25, 1.4, 0.3, 0.1
-"""Steps of drawn people get lower if a point before the swinging foot is nearer to an obstacle than `LOW_M` [m]: down to
-the share `LOW`, at an obstacle. The point is `AHEAD_M` ahead of the root [m], and aside by this share of the foot's place."""
-CALM_LIFT, CALM_SWING = 0.6, 0.08
 SLIDES, LOOKS, TOUCHES_M = 3, 12, 2e-3
 """Largest number of straight lines, and of samples of the map on each, by which heel and toes slide from below the root
 along obstacles to their position. Moved along the gradient of the distances instead, some feet ended on the far side of
@@ -260,7 +263,9 @@ def _slides_to(table, x, z, to_x, to_z):
             if room <= TOUCHES_M or done >= length:
                 break
             done = min(done + room, length)
-            room = sample_sdf(table.sdf, table.origin, table.cell_m, x + way_x * done, z + way_z * done) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
+            room = sample_sdf(
+                table.sdf, table.origin, table.cell_m, x + way_x * done, z + way_z * done
+            ) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
         x, z = x + way_x * done, z + way_z * done
         if done >= length and room >= 0.0:
             break
@@ -277,27 +282,31 @@ def _slides_to(table, x, z, to_x, to_z):
 
 @kernel_part(borrows=True)
 def _room_at(table, state, left, ahead):
-    """Distance of a place in the body frame to walls and furniture [m]."""
+    """Distance of a place in the body frame to walls and furniture [m], and the direction away from them: (left, ahead, 0)."""
     x, z, _ = _to_world(state[X], state[Z], state[HEADING], left, ahead, 0.0)
-    return sample_sdf(table.sdf, table.origin, table.cell_m, x, z)
+    away = sdf_gradient(table.sdf, table.origin, table.cell_m, x, z)
+    return (
+        sample_sdf(table.sdf, table.origin, table.cell_m, x, z),
+        _to_body(0.0, 0.0, state[HEADING], away[0], away[1], 0.0),
+    )
 
 
 @kernel_part(borrows=True)
 def _beside_things(table, state, foot, left, ahead, yaw, flat):
     """A place of a foot in the body frame, moved out of walls and furniture: (left, ahead).
 
-    ``flat`` is the share of its length that a pitched foot covers.
+    ``flat`` is the share of its length that a pitched foot covers; at 0 the place stays.
     """
-    if table.sdf.shape[0] == 0:
+    if table.sdf.shape[0] == 0 or flat == 0.0:
         return left, ahead
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
-    c, s, heel, tip = math.cos(heading), math.sin(heading), table.legs.feet[foot, 0, 2], table.legs.feet[foot, 2, 2]
+    c, s, feet = flat * math.cos(heading), flat * math.sin(heading), table.legs.feet[foot]
     # one look from the root answers for most feet in open rooms: nothing is nearer than that
     near = sample_sdf(table.sdf, table.origin, table.cell_m, state[X], state[Z]) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
     moved = False
     # heel and toe tip; only corners reach in between
     for point in range(2 + int(table.clear)):
-        along = flat * (heel, tip, 0.25 * heel + 0.75 * tip)[point]
+        along = (feet[0, 2], feet[2, 2], 0.25 * feet[0, 2] + 0.75 * feet[2, 2])[point]
         at_x, at_z = x + c * along, z - s * along
         if math.hypot(at_x - state[X], at_z - state[Z]) > near:
             slid_x, slid_z = _slides_to(table, state[X], state[Z], at_x, at_z)
@@ -450,15 +459,6 @@ def _curve(curves, k, f, share, i):
 
 
 @kernel_part(borrows=True)
-def _lowness(table, state, foot):
-    """Share to which a step is lowered, because a raised knee needs room ahead; 1 where there is enough."""
-    if table.clear == 0.0:
-        return 1.0
-    side = table.half_width if foot == 0 else -table.half_width
-    return min(max(LOW + (1 - LOW) / LOW_M * _room_at(table, state, ASIDE_SHARE * side, AHEAD_M), LOW), 1.0)
-
-
-@kernel_part(borrows=True)
 def _gait_shape(table, k, f, state, foot):
     """Pitch, bend [deg], and the ankle's place forward and up from a foot's place on the floor, as the gait has them."""
     at = FOOT + foot * FOOT_COLUMNS
@@ -469,9 +469,12 @@ def _gait_shape(table, k, f, state, foot):
         forwards = 1.0 if state[SPEED] >= 0.0 else 0.0
         pitch = forwards * _curve(table.stand_foot, k, f, share, 0)
         return pitch, forwards * _curve(table.stand_foot, k, f, share, 1), 0.0, 0.0
-    share = state[at + SHARE]
+    share, side, low = state[at + SHARE], table.half_width if foot == 0 else -table.half_width, 1.0
+    if table.clear > 0.0:
+        # a raised knee needs room ahead: within 10 cm of obstacles before the foot, steps get lower, down to 0.3
+        low = min(max(0.3 + 7.0 * _room_at(table, state, 1.4 * side, 0.25)[0], 0.3), 1.0)
     # backwards a little of the swing is left: without any the toes would drag
-    forwards = 1.0 if state[SPEED] >= 0.0 else 0.3
+    forwards = low * (1.0 if state[SPEED] >= 0.0 else 0.3)
     pitch, bend = _curve(table.swing_foot, k, f, share, 0), _curve(table.swing_foot, k, f, share, 1)
     along, up = _curve(table.swing_path, k, f, share, 0), _curve(table.swing_path, k, f, share, 1)
     off = math.hypot(state[at + LEFT_AT] - state[at + LANDS_AT], state[at + LEFT_AT + 1] - state[at + LANDS_AT + 1])
@@ -479,9 +482,8 @@ def _gait_shape(table, k, f, state, foot):
     off += 0.2 * abs(state[at + LEFT_AT + 2] - state[at + LANDS_AT + 2])
     # its square has no speed at either end, as the path has none
     arc = math.sin(math.pi * min(max((share - state[at + SINCE]) / max(1 - state[at + SINCE], 1e-6), 0.0), 1.0))
-    up += min((1 - CALM_LIFT * table.clear) * LIFT * off, LIFT_MOST_M) * arc * arc
-    low = _lowness(table, state, foot)
-    forwards *= low
+    # knees of drawn people pop less with 0.4 of the lift
+    up += min((1 - 0.6 * table.clear) * LIFT * off, LIFT_MOST_M) * arc * arc
     return forwards * pitch, forwards * bend, forwards * along, up - (1 - low) * (up - table.ankle_height)
 
 
@@ -514,37 +516,34 @@ def _ankle(table, k, f, state, foot):
     c, s = math.cos(yaw), math.sin(yaw)
     # last, because the height of the floor depends on how far ahead the ankle is
     up += _above_root(table, k, f, state, foot, along)
-    left, ahead = left + s * along, ahead + c * along
-    if table.clear > 0.0 and state[FOOT + foot * FOOT_COLUMNS + AIR] > 0.0:
-        # once more: beside its place on the floor a swinging ankle reaches farther ahead
-        left, ahead = _beside_things(table, state, foot, left, ahead, yaw, math.cos(math.radians(pitch)))
+    # of drawn people again: beside its place on the floor, a swinging ankle reaches farther ahead
+    flat = table.clear * state[FOOT + foot * FOOT_COLUMNS + AIR] * math.cos(math.radians(pitch))
+    left, ahead = _beside_things(table, state, foot, left + s * along, ahead + c * along, yaw, flat)
     return (left, up, ahead), pitch, bend, yaw
 
 
 @kernel_part(borrows=True)
-def _knee_out(table, state, quats, pelvis, ankle, foot, side):
-    """Returns the outward component of the direction of a knee, as `write_legs` needs it."""
-    out = KNEES_OUT if side == 0 else -KNEES_OUT
+def _knee(table, state, quats, pelvis, ankle, foot, side):
+    """Returns the outward component of the direction of a knee, as `write_legs` needs it.
+
+    Knees of drawn people turn by half of the yaw of the foot, and away from obstacles. Knees that point where the feet do
+    are up to 8 cm inside counters from which people turn away, since the trailing foot lags behind by up to 31 degrees.
+    """
     if table.clear == 0.0:
-        return out
-    # the knee is on a circle about the line from hip to ankle
+        return KNEES[side]
+    yaw, thigh, shank = math.radians(foot[side, 1]), table.legs.thigh, table.legs.shank
     hip = plus((pelvis[0], pelvis[1], pelvis[2]), turned(row4(quats, 0), row3(table.legs.hips, side)), 1.0)
-    path, thigh, shank = plus(row3(ankle, side), hip, -1.0), table.legs.thigh, table.legs.shank
+    path = plus(row3(ankle, side), hip, -1.0)
+    # the knee is on a circle of radius `bow` about the line from hip to ankle
     square = dot(path, path)
     part = (thigh * thigh - shank * shank + square) / (2 * square)
-    bow, yaw = math.sqrt(max(thigh * thigh - part * part * square, 0.0)), math.radians(foot[side, 1])
-    turn = KNEE_SHARE * yaw + out
-    for _ in range(KNEE_LOOKS):
+    turn, bow = 0.5 * yaw + KNEES[side], math.sqrt(max(thigh * thigh - part * part * square, 0.0))
+    for _ in range(3):
         c, s = math.cos(turn), math.sin(turn)
-        left, ahead = hip[0] + part * path[0] + bow * s, hip[2] + part * path[2] + bow * c
-        lacks = KNEE_ROOM_M - _room_at(table, state, left, ahead)
-        if lacks <= 0.0:
-            break
-        x, z, _ = _to_world(state[X], state[Z], state[HEADING], left, ahead, 0.0)
-        away_x, away_z = sdf_gradient(table.sdf, table.origin, table.cell_m, x, z)
-        aside, onward, _ = _to_body(0.0, 0.0, state[HEADING], away_x, away_z, 0.0)
-        turn += min(lacks / max(bow, 0.05), 0.5) * (c * aside - s * onward)
-    return math.tan(min(max(turn, -KNEE_MOST_RAD), KNEE_MOST_RAD)) * math.cos(yaw) - math.sin(yaw)
+        room, away = _room_at(table, state, hip[0] + part * path[0] + bow * s, hip[2] + part * path[2] + bow * c)
+        # 0.095: distance of a knee from obstacles [m], about its radius
+        turn += min(max(0.095 - room, 0.0) / max(bow, 0.05), 0.5) * (c * away[0] - s * away[1])
+    return math.tan(min(max(turn, -0.8), 0.8)) * math.cos(yaw) - math.sin(yaw)
 
 
 @kernel_part(borrows=True)
@@ -758,7 +757,7 @@ def _toes(table, k, f, state, foot, share):
 @kernel_part(borrows=True)
 def _unhurried(table, k, f, state, ahead, dt):
     """The cycles, ``ahead`` at most, that the phase runs on in a step so that no swinging foot moves too fast."""
-    most = max((1 - CALM_SWING * table.clear) * SWING_MPS, _at(table.swing, k, f)) * dt
+    most = max((1 - 0.08 * table.clear) * SWING_MPS, _at(table.swing, k, f)) * dt
     slowest = ahead
     for foot in range(2):
         share = state[FOOT + foot * FOOT_COLUMNS + SHARE]
@@ -975,10 +974,7 @@ def pose_state(table, state, quats, pelvis, ankle, foot, angles):
         at, pitch, bend, yaw = _ankle(table, k, f, state, side)
         ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
         foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
-    knees = (
-        _knee_out(table, state, quats, pelvis, ankle, foot, 0),
-        _knee_out(table, state, quats, pelvis, ankle, foot, 1),
-    )
+    knees = (_knee(table, state, quats, pelvis, ankle, foot, 0), _knee(table, state, quats, pelvis, ankle, foot, 1))
     write_legs(table.legs, quats, pelvis, ankle, foot, knees, angles)
     to_root = row4(table.to_root.reshape(1, 4), 0)
     put(quats, 0, multiply(to_root, row4(quats, 0)))
