@@ -6,7 +6,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +42,6 @@ from h3data.replay.records import (
 from h3data.scene import Mesh, Scene, load_scene
 from h3data.scene.articulation import SceneJoints, joints_of
 from h3data.scene.floor_heights import LEVEL, room_heights
-
-if TYPE_CHECKING:
-    from h3data.bodies.people.kernels.planted import GaitTables
 
 _STAND_INS: Registry[Any] = Registry("h3data.stand_ins", {}, what="maker of stand-ins")
 
@@ -114,6 +111,9 @@ class PosedRecording:
         self.missing: dict[str, int] = missing
         """Number of bodies that refer to each asset file that was not found."""
         self._models: dict[int, Robot | Humanoid] = {}
+        self._links: dict[int, LinkPoses] = {}
+        self._gestures: dict[int, Array | None] = {}
+        self._gaits: dict[int, tuple[Any, Array]] = {}
         self._joints = _recorded_joints(recording, self.scene)
         refs = {ref.name: ref for ref in recording.assets}
         rigs = {rig["body"]: rig for rig in recording.episode.info.get("rigs", ())}
@@ -297,10 +297,6 @@ class PosedRecording:
         joints = [part.joint for part in rigid_parts(body, self.people)]
         return lambda steps: self.joint_matrices(agent, steps)[:, joints], len(self), len(joints)
 
-    @cached_property
-    def _links(self) -> dict[int, LinkPoses]:
-        return {}
-
     def matrices(self, index: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
         """Return world matrices of a moving drawable at ``steps`` (default all), shape [T, 4, 4].
 
@@ -366,11 +362,12 @@ class PosedRecording:
         """
         return LEVEL if self.scene is None else room_heights(self.scene.rooms)
 
-    def _gait_of(self, agent: int, body: Humanoid) -> tuple[GaitTables, Array]:
+    def _gait_of(self, agent: int, body: Humanoid) -> tuple[Any, Array]:
+        """Gaits of a person in the recorded home, and the states at all steps."""
         if agent not in self._gaits:
             base = self.recording.agent_column(agent, "base_pose")
             time_s = self.recording.columns["time_ns"].astype(np.float64) * 1e-9
-            tables = drawn_in(body.gait_tables, self.scene)
+            tables = body.gait_tables if self.scene is None else drawn_in(body.gait_tables, self.scene)
             self._gaits[agent] = tables, planted_states(tables, base, time_s)
         return self._gaits[agent]
 
@@ -378,14 +375,6 @@ class PosedRecording:
         if agent not in self._gestures:
             self._gestures[agent] = recorded_gestures(self.recording, agent)
         return self._gestures[agent]
-
-    @cached_property
-    def _gestures(self) -> dict[int, Array | None]:
-        return {}
-
-    @cached_property
-    def _gaits(self) -> dict[int, tuple[GaitTables, Array]]:
-        return {}
 
     def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
         """Return the world vertices of a deformable drawable at ``steps``, shape [T, V, 3] [m]; NaN where it was absent."""

@@ -156,7 +156,8 @@ class StatePacker:
         # recorded by clips: feet are planted from step to step, as a replay does it (`PosedRecording.joint_matrices`)
         walk = self._walks.get(k)
         if walk is None:
-            walk = self._walks[k] = PlantedWalk(drawn_in(body.gait_tables, self.scene), base)
+            tables = body.gait_tables if self.scene is None else drawn_in(body.gait_tables, self.scene)
+            walk = self._walks[k] = PlantedWalk(tables, base)
         else:
             walk.step(base)
         quats, pelvis = walk.pose()

@@ -35,10 +35,9 @@ from h3data.kernels import kernel, kernel_part
 LEG_JOINTS = np.array(
     [[JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right")] for part in ("hip", "knee", "ankle", "foot")]
 )
-KNEES_OUT = 0.10
-"""Outward component of the direction in which knees point, if the component in the direction of the foot is 1."""
-KNEES = (KNEES_OUT, -KNEES_OUT)
-"""Components of both knees to the left, if they point where the feet do and a little outwards, as those of people do."""
+KNEES = (0.10, -0.10)
+"""Components to the left of the directions in which the left and the right knee point, if the component in the direction of
+the foot is 1: a little outwards, as those of people do."""
 
 
 class LegMeasures(NamedTuple):
@@ -131,8 +130,8 @@ def sink_pelvis(legs, quats, pelvis, ankle):
 def write_legs(legs, quats, pelvis, ankle, foot, knees, angles):
     """Compute the local rotations of the leg joints of one pose, in place.
 
-    ``knees`` are the outward components of the directions of both knees (`KNEES`). ``angles`` [2, 3] are filled with the lean of each thigh, the flexion of the knee [rad] and the distance from hip to
-    ankle [m].
+    ``knees`` are the components to the left of the directions of both knees, as in `KNEES`. ``angles`` [2, 3] are filled
+    with the lean of each thigh, the flexion of the knee [rad] and the distance from hip to ankle [m].
     """
     pelvis_turn = row4(quats, 0)
     for k in range(2):

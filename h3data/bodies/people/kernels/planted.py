@@ -248,6 +248,13 @@ def _own_phase(phase, foot):
 
 
 @kernel_part(borrows=True)
+def _foot_room(table, x, z):
+    """Free distance of heel or toes beyond what they keep from walls and furniture [m]."""
+    # drawn feet keep more: those of capsules are 5 cm thick, and distances are 1 cm too great at corners
+    return sample_sdf(table.sdf, table.origin, table.cell_m, x, z) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
+
+
+@kernel_part(borrows=True)
 def _slides_to(table, x, z, to_x, to_z):
     """Returns where a point ends that moves from free floor towards a place and slides along obstacles in between."""
     for _ in range(SLIDES):
@@ -258,14 +265,12 @@ def _slides_to(table, x, z, to_x, to_z):
             break
         way_x, way_z = way_x / length, way_z / length
         # sphere tracing: within the free distance nothing can be hit, so each look may go as far as it says
-        room = sample_sdf(table.sdf, table.origin, table.cell_m, x, z) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
+        room = _foot_room(table, x, z)
         for _ in range(LOOKS):
             if room <= TOUCHES_M or done >= length:
                 break
             done = min(done + room, length)
-            room = sample_sdf(
-                table.sdf, table.origin, table.cell_m, x + way_x * done, z + way_z * done
-            ) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
+            room = _foot_room(table, x + way_x * done, z + way_z * done)
         x, z = x + way_x * done, z + way_z * done
         if done >= length and room >= 0.0:
             break
@@ -284,11 +289,11 @@ def _slides_to(table, x, z, to_x, to_z):
 def _room_at(table, state, left, ahead):
     """Distance of a place in the body frame to walls and furniture [m], and the direction away from them: (left, ahead, 0)."""
     x, z, _ = _to_world(state[X], state[Z], state[HEADING], left, ahead, 0.0)
-    away = sdf_gradient(table.sdf, table.origin, table.cell_m, x, z)
-    return (
+    room, away = (
         sample_sdf(table.sdf, table.origin, table.cell_m, x, z),
-        _to_body(0.0, 0.0, state[HEADING], away[0], away[1], 0.0),
+        sdf_gradient(table.sdf, table.origin, table.cell_m, x, z),
     )
+    return room, _to_body(0.0, 0.0, state[HEADING], away[0], away[1], 0.0)
 
 
 @kernel_part(borrows=True)
@@ -302,8 +307,7 @@ def _beside_things(table, state, foot, left, ahead, yaw, flat):
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
     c, s, feet = flat * math.cos(heading), flat * math.sin(heading), table.legs.feet[foot]
     # one look from the root answers for most feet in open rooms: nothing is nearer than that
-    near = sample_sdf(table.sdf, table.origin, table.cell_m, state[X], state[Z]) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
-    moved = False
+    near, moved = _foot_room(table, state[X], state[Z]), False
     # heel and toe tip; only corners reach in between
     for point in range(2 + int(table.clear)):
         along = (feet[0, 2], feet[2, 2], 0.25 * feet[0, 2] + 0.75 * feet[2, 2])[point]
@@ -338,16 +342,14 @@ def _on_a_tread(table, state, foot, x, z, heading, came_from):
 
     Heel and toe then reach at most a little beyond the tread's edge.
     """
-    feet = table.legs.feet[foot]
-    return on_a_tread(table.heights, x, z, heading, feet[0, 2], feet[2, 2], came_from)
+    return on_a_tread(table.heights, x, z, heading, table.legs.feet[foot, 0, 2], table.legs.feet[foot, 2, 2], came_from)
 
 
 @kernel_part(borrows=True)
 def _came_from(table, state, foot):
     """Number of the tread that a foot stands on or has left."""
-    at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
-    place = state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2]
-    return tread_of(table.heights, place[0], place[1], place[2], feet[0, 2], feet[2, 2])
+    at, feet = FOOT + foot * FOOT_COLUMNS + PLANT, table.legs.feet[foot]
+    return tread_of(table.heights, state[at], state[at + 1], state[at + 2], feet[0, 2], feet[2, 2])
 
 
 @kernel_part(borrows=True)
@@ -469,22 +471,22 @@ def _gait_shape(table, k, f, state, foot):
         forwards = 1.0 if state[SPEED] >= 0.0 else 0.0
         pitch = forwards * _curve(table.stand_foot, k, f, share, 0)
         return pitch, forwards * _curve(table.stand_foot, k, f, share, 1), 0.0, 0.0
-    share, side, low = state[at + SHARE], table.half_width if foot == 0 else -table.half_width, 1.0
-    if table.clear > 0.0:
-        # a raised knee needs room ahead: within 10 cm of obstacles before the foot, steps get lower, down to 0.3
-        low = min(max(0.3 + 7.0 * _room_at(table, state, 1.4 * side, 0.25)[0], 0.3), 1.0)
+    share, aside = state[at + SHARE], 1.4 * (table.half_width if foot == 0 else -table.half_width)
+    # a raised knee needs room: where there are less than 10 cm ahead of the foot, drawn steps get lower, down to 0.3
+    low = min(max(0.3 + 7.0 * _room_at(table, state, aside, 0.25)[0], 0.3), 1.0) if table.clear > 0.0 else 1.0
     # backwards a little of the swing is left: without any the toes would drag
     forwards = low * (1.0 if state[SPEED] >= 0.0 else 0.3)
     pitch, bend = _curve(table.swing_foot, k, f, share, 0), _curve(table.swing_foot, k, f, share, 1)
     along, up = _curve(table.swing_path, k, f, share, 0), _curve(table.swing_path, k, f, share, 1)
-    off = math.hypot(state[at + LEFT_AT] - state[at + LANDS_AT], state[at + LEFT_AT + 1] - state[at + LANDS_AT + 1])
     # a turn of the foot counts as its toes move: they are about 0.2 m from the ankle
-    off += 0.2 * abs(state[at + LEFT_AT + 2] - state[at + LANDS_AT + 2])
+    off = math.hypot(
+        state[at + LEFT_AT] - state[at + LANDS_AT], state[at + LEFT_AT + 1] - state[at + LANDS_AT + 1]
+    ) + 0.2 * abs(state[at + LEFT_AT + 2] - state[at + LANDS_AT + 2])
     # its square has no speed at either end, as the path has none
     arc = math.sin(math.pi * min(max((share - state[at + SINCE]) / max(1 - state[at + SINCE], 1e-6), 0.0), 1.0))
-    # knees of drawn people pop less with 0.4 of the lift
-    up += min((1 - 0.6 * table.clear) * LIFT * off, LIFT_MOST_M) * arc * arc
-    return forwards * pitch, forwards * bend, forwards * along, up - (1 - low) * (up - table.ankle_height)
+    # drawn knees pop less with 0.4 of the lift
+    lift = low * min((1 - 0.6 * table.clear) * LIFT * off, LIFT_MOST_M) * arc * arc
+    return forwards * pitch, forwards * bend, forwards * along, up + lift - (1 - low) * (up - table.ankle_height)
 
 
 @kernel_part(borrows=True)
@@ -523,6 +525,17 @@ def _ankle(table, k, f, state, foot):
 
 
 @kernel_part(borrows=True)
+def _write_feet(table, state, ankle, foot):
+    """Writes ankles [2, 3] in the body frame, and pitch, yaw and bend of the feet [2, 3] [deg]."""
+    # feet go by the speed, trunk and arms by the style, which follows it more slowly
+    k, f = _row(table, state[SPEED])
+    for side in range(2):
+        at, pitch, bend, yaw = _ankle(table, k, f, state, side)
+        ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
+        foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
+
+
+@kernel_part(borrows=True)
 def _knee(table, state, quats, pelvis, ankle, foot, side):
     """Returns the outward component of the direction of a knee, as `write_legs` needs it.
 
@@ -531,10 +544,10 @@ def _knee(table, state, quats, pelvis, ankle, foot, side):
     """
     if table.clear == 0.0:
         return KNEES[side]
-    yaw, thigh, shank = math.radians(foot[side, 1]), table.legs.thigh, table.legs.shank
+    thigh, shank, yaw = table.legs.thigh, table.legs.shank, math.radians(foot[side, 1])
     hip = plus((pelvis[0], pelvis[1], pelvis[2]), turned(row4(quats, 0), row3(table.legs.hips, side)), 1.0)
     path = plus(row3(ankle, side), hip, -1.0)
-    # the knee is on a circle of radius `bow` about the line from hip to ankle
+    # the knee is on a circle of radius ``bow`` about the line from hip to ankle
     square = dot(path, path)
     part = (thigh * thigh - shank * shank + square) / (2 * square)
     turn, bow = 0.5 * yaw + KNEES[side], math.sqrt(max(thigh * thigh - part * part * square, 0.0))
@@ -902,16 +915,19 @@ def _pelvis_turn(table, state):
 
 
 @kernel_part(borrows=True)
+def _tallest(table, aside, onward):
+    """Returns how high a hip may be above its ankle, which is ``aside`` and ``onward`` from it along the floor [m]."""
+    longest = STRETCHED * (table.legs.thigh + table.legs.shank)
+    return math.sqrt(max(longest * longest - aside * aside - onward * onward, 0.0))
+
+
+@kernel_part(borrows=True)
 def _lacks(table, k, f, state, foot):
     """Returns how far the pelvis of the gait must sink for a foot to be within reach [m]."""
     place, turn = _pelvis(table, state), _pelvis_turn(table, state)
     ankle, _, _, _ = _ankle(table, k, f, state, foot)
     hip = turned(turn, row3(table.legs.hips, foot))
-    aside, onward = place[0] + hip[0] - ankle[0], place[2] + hip[2] - ankle[2]
-    # the hip may be as high above the ankle as a leg of this length leaves after its distance along the floor
-    longest = STRETCHED * (table.legs.thigh + table.legs.shank)
-    room = math.sqrt(max(longest * longest - aside * aside - onward * onward, 0.0))
-    return place[1] + hip[1] - ankle[1] - room
+    return place[1] + hip[1] - ankle[1] - _tallest(table, place[0] + hip[0] - ankle[0], place[2] + hip[2] - ankle[2])
 
 
 @kernel_part(borrows=True)
@@ -927,10 +943,7 @@ def _will_lack(table, k, f, state, foot):
     floor = under_foot(table.heights, x, z, heading, feet[0, 2], feet[2, 2])
     up = floor - height_at(table.heights, 0.0, root_x, root_z) + table.ankle_height
     hip = turned(turn, row3(table.legs.hips, foot))
-    aside, onward = place[0] + hip[0] - left, place[2] + hip[2] - (ahead - gone)
-    longest = STRETCHED * (table.legs.thigh + table.legs.shank)
-    room = math.sqrt(max(longest * longest - aside * aside - onward * onward, 0.0))
-    return place[1] + hip[1] - up - room
+    return place[1] + hip[1] - up - _tallest(table, place[0] + hip[0] - left, place[2] + hip[2] - (ahead - gone))
 
 
 @kernel_part(borrows=True)
@@ -968,12 +981,7 @@ def pose_state(table, state, quats, pelvis, ankle, foot, angles):
         put(quats, j, multiply(from_vector(0.0, 0.5 * state[LOOK], 0.0), row4(quats, j)))
     place = _pelvis(table, state)
     pelvis[0], pelvis[1], pelvis[2] = place[0], place[1] - state[SINK], place[2]
-    # feet go by the speed, trunk and arms above by the style, which follows it more slowly
-    k, f = _row(table, state[SPEED])
-    for side in range(2):
-        at, pitch, bend, yaw = _ankle(table, k, f, state, side)
-        ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
-        foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
+    _write_feet(table, state, ankle, foot)
     knees = (_knee(table, state, quats, pelvis, ankle, foot, 0), _knee(table, state, quats, pelvis, ankle, foot, 1))
     write_legs(table.legs, quats, pelvis, ankle, foot, knees, angles)
     to_root = row4(table.to_root.reshape(1, 4), 0)
@@ -1051,11 +1059,7 @@ def plant_legs(table, state, quats, pelvis):
     The pose, quats [55, 4] and pelvis [3], is in the agent root frame. The pelvis sinks where a leg would be too short.
     """
     ankle, foot, angles = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
-    k, f = _row(table, state[SPEED])
-    for side in range(2):
-        at, pitch, bend, yaw = _ankle(table, k, f, state, side)
-        ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
-        foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
+    _write_feet(table, state, ankle, foot)
     to_root = row4(table.to_root.reshape(1, 4), 0)
     # legs are solved in the body frame, and recorded in that of the agent root
     to_body = inverse(to_root)
