@@ -365,10 +365,9 @@ class PosedRecording:
     def _gait_of(self, agent: int, body: Humanoid) -> tuple[Any, Array]:
         """Gaits of a person in the recorded home, and the states at all steps."""
         if agent not in self._gaits:
-            base = self.recording.agent_column(agent, "base_pose")
             time_s = self.recording.columns["time_ns"].astype(np.float64) * 1e-9
             tables = body.gait_tables if self.scene is None else drawn_in(body.gait_tables, self.scene)
-            self._gaits[agent] = tables, planted_states(tables, base, time_s)
+            self._gaits[agent] = tables, planted_states(tables, self.recording.agent_column(agent, "base_pose"), time_s)
         return self._gaits[agent]
 
     def _gestures_of(self, agent: int) -> Array | None:

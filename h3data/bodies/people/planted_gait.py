@@ -6,7 +6,7 @@ the motion, recordings of people store only their roots.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -158,12 +158,16 @@ class PlantedWalk:
 
     def __init__(self, tables: GaitTables, base: ArrayLike) -> None:
         """``base`` [7] is the agent root."""
-        from h3data.bodies.people.kernels import planted
-
-        self.tables, self._kernels = tables, planted
-        self.state: Array = np.zeros(planted.STATE_COLUMNS)
+        self.tables = tables
+        self.state: Array = np.zeros(self._kernels.STATE_COLUMNS)
         """A row of `planted_states` [K]; a copy of it keeps a moment."""
         self.stand(base)
+
+    @property
+    def _kernels(self) -> Any:
+        from h3data.bodies.people.kernels import planted
+
+        return planted
 
     def stand(self, base: ArrayLike) -> None:
         """Place both feet as in standing under a root [7]."""
@@ -217,9 +221,8 @@ class PlantedWalk:
         The pose has local rotations [55, 4] and the pelvis position [3] [m] in the agent root frame. The pelvis is
         lowered where a leg would be too short.
         """
-        self._kernels.plant_legs(
-            self.tables, self.state, quats, pelvis
-        )  # arrays of the caller, so numba looks at their types
+        # not by `_CALL`: arrays of the caller, so numba looks at their types
+        self._kernels.plant_legs(self.tables, self.state, quats, pelvis)
 
 
 def _place(base: ArrayLike) -> tuple[float, float, float]:

@@ -318,8 +318,7 @@ def _beside_things(table, state, foot, left, ahead, yaw, flat):
                 x, z, moved = x + slid_x - at_x, z + slid_z - at_z, True
     if not moved:  # to the last bit
         return left, ahead
-    left, ahead, _ = _to_body(state[X], state[Z], state[HEADING], x, z, heading)
-    return left, ahead
+    return _to_body(state[X], state[Z], state[HEADING], x, z, heading)[:2]
 
 
 @kernel_part(borrows=True)
@@ -332,8 +331,7 @@ def _lands_at(table, k, f, state, foot, left, ahead, gone):
     side = table.half_width if foot == 0 else -table.half_width
     onward = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (1.0 - _own_phase(state[PHASE], foot) - gone)
     onward += _gait_ahead(table, k, f, state[SPEED], 0.0)
-    x, z, _ = _to_world(state[X], state[Z], state[HEADING], side + left, ahead + onward, 0.0)
-    return x, z
+    return _to_world(state[X], state[Z], state[HEADING], side + left, ahead + onward, 0.0)[:2]
 
 
 @kernel_part(borrows=True)
@@ -360,8 +358,7 @@ def _stand_place(table, state, foot):
         return side, table.middle[0]
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], side, table.middle[0], 0.0)
     x, z = _on_a_tread(table, state, foot, x, z, heading, -1)
-    left, ahead, _ = _to_body(state[X], state[Z], state[HEADING], x, z, heading)
-    return left, ahead
+    return _to_body(state[X], state[Z], state[HEADING], x, z, heading)[:2]
 
 
 @kernel_part(borrows=True)
