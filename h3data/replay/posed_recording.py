@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
 from h3data.bodies.people.gestures import add_gestures, lead_hands
-from h3data.bodies.people.planted_gait import on_stairs, planted_states, pose_planted
+from h3data.bodies.people.planted_gait import drawn_in, planted_states, pose_planted
 from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
 from h3data.bodies.people.sitting import take_seats
 from h3data.bodies.robots.trot import legs_are_posed, trot
@@ -111,6 +111,9 @@ class PosedRecording:
         self.missing: dict[str, int] = missing
         """Number of bodies that refer to each asset file that was not found."""
         self._models: dict[int, Robot | Humanoid] = {}
+        self._links: dict[int, LinkPoses] = {}
+        self._gestures: dict[int, Array | None] = {}
+        self._gaits: dict[int, tuple[Any, Array]] = {}
         self._joints = _recorded_joints(recording, self.scene)
         refs = {ref.name: ref for ref in recording.assets}
         rigs = {rig["body"]: rig for rig in recording.episode.info.get("rigs", ())}
@@ -294,10 +297,6 @@ class PosedRecording:
         joints = [part.joint for part in rigid_parts(body, self.people)]
         return lambda steps: self.joint_matrices(agent, steps)[:, joints], len(self), len(joints)
 
-    @cached_property
-    def _links(self) -> dict[int, LinkPoses]:
-        return {}
-
     def matrices(self, index: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
         """Return world matrices of a moving drawable at ``steps`` (default all), shape [T, 4, 4].
 
@@ -340,7 +339,8 @@ class PosedRecording:
         arms = columns[prefix + "motion_arms"][steps] if prefix + "motion_arms" in columns else None
         if self.stepping:
             # feet that stand do not slide, as they do in clips alone
-            quats, pelvis = pose_planted(on_stairs(body.gait_tables, self.heights), self._gait_of(agent, body)[steps])
+            tables, states = self._gait_of(agent, body)
+            quats, pelvis = pose_planted(tables, states[steps])
             if arms is not None:
                 draw_in(quats, arms, shoulders_forward=True)
         else:
@@ -362,25 +362,18 @@ class PosedRecording:
         """
         return LEVEL if self.scene is None else room_heights(self.scene.rooms)
 
-    def _gait_of(self, agent: int, body: Humanoid) -> Array:
+    def _gait_of(self, agent: int, body: Humanoid) -> tuple[Any, Array]:
+        """Gaits of a person in the recorded home, and the states at all steps."""
         if agent not in self._gaits:
-            base = self.recording.agent_column(agent, "base_pose")
             time_s = self.recording.columns["time_ns"].astype(np.float64) * 1e-9
-            self._gaits[agent] = planted_states(on_stairs(body.gait_tables, self.heights), base, time_s)
+            tables = body.gait_tables if self.scene is None else drawn_in(body.gait_tables, self.scene)
+            self._gaits[agent] = tables, planted_states(tables, self.recording.agent_column(agent, "base_pose"), time_s)
         return self._gaits[agent]
 
     def _gestures_of(self, agent: int) -> Array | None:
         if agent not in self._gestures:
             self._gestures[agent] = recorded_gestures(self.recording, agent)
         return self._gestures[agent]
-
-    @cached_property
-    def _gestures(self) -> dict[int, Array | None]:
-        return {}
-
-    @cached_property
-    def _gaits(self) -> dict[int, Array]:
-        return {}
 
     def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
         """Return the world vertices of a deformable drawable at ``steps``, shape [T, V, 3] [m]; NaN where it was absent."""

@@ -55,7 +55,7 @@ def test_drawn_in_arms_are_where_a_replay_has_them():
     assert isinstance(body, Humanoid)
     first = {name: column[:1] for name, column in recording.columns.items()}
     base = first["agent_0.base_pose"][0].astype(np.float64)
-    live = StatePacker(recording, (body,), replay.heights)._pose(0, body, base, Columns(first))
+    live = StatePacker(recording, (body,), replay.scene)._pose(0, body, base, Columns(first))
     pelvis, quats = live[0], np.concatenate([live[0][None, 3:], live[1]])
     ours = body.joint_matrices(IDENTITY_POSE[None], quats[None], pelvis[None, :3])
     np.testing.assert_allclose(ours[0], replay.joint_matrices(0, np.array([0]))[0], atol=1e-6)

@@ -275,7 +275,7 @@ class LiveGame:
         for k in table.numbers:
             self.session.recorder.beside |= {seq_column(k): np.int32(-1), rtt_column(k): np.float32(np.nan)}
         bodies = tuple(m.body for m in episode.roster)
-        self.packer = StatePacker(self.session.recorder.header, bodies, episode.free.heights)
+        self.packer = StatePacker(self.session.recorder.header, bodies, episode.scene)
         self.packed: PackedStep | None = None
         """The last step."""
         self.columns: Columns = {}

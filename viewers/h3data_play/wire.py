@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.arms import draw_in
 from h3data.bodies.people.gestures import lead_hands
-from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs
+from h3data.bodies.people.planted_gait import PlantedWalk, drawn_in
 from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import Array, heading_from_quat, pose_multiply
 from h3data.recording import RecordingHeader
 from h3data.recording.records import JOINTS
-from h3data.scene.floor_heights import LEVEL
+from h3data.scene import Scene
 
 STATE, PONG = 1, 2
 TOUCH, WALL, ENDED, BUSY = 1, 2, 4, 8
@@ -104,8 +104,8 @@ class StatePacker:
     header: RecordingHeader
     bodies: tuple[Robot | Humanoid, ...]
     """Bodies of the agents."""
-    heights: Array = field(default_factory=LEVEL.copy)
-    """Heights of the floor (`h3data.scene.floor_heights`), so that feet stand on the treads of stairs."""
+    scene: Scene | None = None
+    """Home, so that feet stand on the treads of stairs, and legs keep clear of walls and furniture."""
     _walks: dict[int, PlantedWalk] = field(default_factory=dict)
     _objects: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _OBJECT))
     _joints: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _JOINT))
@@ -156,7 +156,8 @@ class StatePacker:
         # recorded by clips: feet are planted from step to step, as a replay does it (`PosedRecording.joint_matrices`)
         walk = self._walks.get(k)
         if walk is None:
-            walk = self._walks[k] = PlantedWalk(on_stairs(body.gait_tables, self.heights), base)
+            tables = body.gait_tables if self.scene is None else drawn_in(body.gait_tables, self.scene)
+            walk = self._walks[k] = PlantedWalk(tables, base)
         else:
             walk.step(base)
         quats, pelvis = walk.pose()

@@ -6,7 +6,7 @@ the motion, recordings of people store only their roots.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,13 +15,14 @@ from h3data.bodies.people.clips import TO_ROOT, Gaits
 from h3data.bodies.people.gait import stand_posture
 from h3data.bodies.people.legs import Posture
 from h3data.bodies.people.skeleton import JOINT_COUNT
+from h3data.errors import SceneError
 from h3data.geometry import Array, heading_from_quat
 from h3data.kernels.entries import Entries
-from h3data.scene.floor_heights import LEVEL
+from h3data.scene.floor_heights import LEVEL, room_heights
 
 if TYPE_CHECKING:
     from h3data.bodies.people.kernels.planted import GaitTables
-    from h3data.scene import FreeSpace
+    from h3data.scene import FreeSpace, Scene
 
 PHASES, SHARES = 64, 49
 STEP_S = 1 / 30
@@ -88,6 +89,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
         origin=np.zeros(2),
         cell_m=1.0,
         heights=LEVEL,
+        clear=0.0,
     )
 
 
@@ -105,6 +107,19 @@ def on_floor(tables: GaitTables, free: FreeSpace) -> GaitTables:
 def on_stairs(tables: GaitTables, heights: Array) -> GaitTables:
     """Return the gaits of a body whose feet stand on the treads of stairs (`h3data.scene.floor_heights`)."""
     return tables._replace(heights=np.ascontiguousarray(heights, np.float64))
+
+
+def drawn_in(tables: GaitTables, scene: Scene) -> GaitTables:
+    """Return the gaits of a body that is only drawn: its legs keep clear of walls and furniture of a scene.
+
+    Without rooms and collision shapes, and without free floor, legs are those of `on_stairs`.
+    """
+    from h3data.scene.freespace.free_space import FreeSpace
+
+    try:
+        return on_floor(tables, FreeSpace.from_scene(scene, method="shapes"))._replace(clear=1.0)
+    except SceneError:
+        return on_stairs(tables, room_heights(scene.rooms))
 
 
 def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None = None) -> Array:
@@ -143,67 +158,61 @@ class PlantedWalk:
 
     def __init__(self, tables: GaitTables, base: ArrayLike) -> None:
         """Create a standing walk at ``base`` [7], the pose of the agent root."""
-        from h3data.bodies.people.kernels.planted import STATE_COLUMNS, stride_one
-
-        self.tables, self._stride_one = tables, stride_one
-        self.state: Array = np.zeros(STATE_COLUMNS)
+        self.tables = tables
+        self.state: Array = np.zeros(self._kernels.STATE_COLUMNS)
         """Current state, as a row of `planted_states` [K]; copy it to store a moment."""
         self.stand(base)
 
+    @property
+    def _kernels(self) -> Any:
+        from h3data.bodies.people.kernels import planted
+
+        return planted
+
     def stand(self, base: ArrayLike) -> None:
         """Place both feet as in standing under a root [7]."""
-        from h3data.bodies.people.kernels.planted import stand_one
-
-        _CALL(stand_one, self.tables, self.state, *_place(base))
+        _CALL(self._kernels.stand_one, self.tables, self.state, *_place(base))
 
     @property
     def stands(self) -> bool:
         """Return whether the feet are at rest in the standing position."""
-        from h3data.bodies.people.kernels.planted import one_stands
-
-        return bool(_CALL(one_stands, self.tables, self.state))
+        return bool(_CALL(self._kernels.one_stands, self.tables, self.state))
 
     @property
     def head_turn(self) -> float:
         """Angle by which the head has turned to the left in the last step [rad]."""
-        from h3data.bodies.people.kernels.planted import LOOK_RATE
-
-        return float(self.state[LOOK_RATE]) * STEP_S
+        return float(self.state[self._kernels.LOOK_RATE]) * STEP_S
 
     @property
     def speed_mps(self) -> float:
         """Speed of the gait [m/s], which follows the speed of the root with at most 9 m/s^2."""
-        from h3data.bodies.people.kernels.planted import SPEED
-
-        return abs(float(self.state[SPEED]))
+        return abs(float(self.state[self._kernels.SPEED]))
 
     def is_at(self, base: ArrayLike) -> bool:
         """Return whether the root [7] is the root after the last step."""
-        from h3data.bodies.people.kernels.planted import HEADING, X, Z
-
         x, z, heading = _place(base)
-        turned = np.abs((self.state[HEADING] - heading + np.pi) % (2 * np.pi) - np.pi)
-        return bool(abs(self.state[X] - x) < 1e-6 and abs(self.state[Z] - z) < 1e-6 and turned < 1e-6)
+        turned = np.abs((self.state[self._kernels.HEADING] - heading + np.pi) % (2 * np.pi) - np.pi)
+        return bool(
+            abs(self.state[self._kernels.X] - x) < 1e-6
+            and abs(self.state[self._kernels.Z] - z) < 1e-6
+            and turned < 1e-6
+        )
 
     def step(self, base: ArrayLike) -> None:
         """Advance by 1/30 s, in which the root moves to ``base`` [7]."""
-        from h3data.bodies.people.kernels.planted import step_one
-
-        _CALL(step_one, self.tables, self.state, *_place(base), STEP_S)
+        _CALL(self._kernels.step_one, self.tables, self.state, *_place(base), STEP_S)
 
     def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
         """Advance by 1/30 s to a root [7] whose heading [rad] is known, and return the `pose` there."""
         quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
         x, _, z, *_ = np.asarray(base, np.float64).tolist()
-        _CALL(self._stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
+        _CALL(self._kernels.stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
     def pose(self) -> tuple[Array, Array]:
         """Return the local rotations [55, 4] and the position of the pelvis [3] [m] in the agent root frame."""
-        from h3data.bodies.people.kernels.planted import pose_gaits
-
         quats, pelvis = np.empty((1, JOINT_COUNT, 4)), np.empty((1, 3))
-        _CALL(pose_gaits, self.tables, self.state[None], quats, pelvis)
+        _CALL(self._kernels.pose_gaits, self.tables, self.state[None], quats, pelvis)
         return quats[0], pelvis[0]
 
     def plant(self, quats: Array, pelvis: Array) -> None:
@@ -212,9 +221,8 @@ class PlantedWalk:
         The pose has local rotations [55, 4] and the pelvis position [3] [m] in the agent root frame. The pelvis is
         lowered where a leg would be too short.
         """
-        from h3data.bodies.people.kernels.planted import plant_legs
-
-        plant_legs(self.tables, self.state, quats, pelvis)  # arrays of the caller, so numba looks at their types
+        # not by `_CALL`: arrays of the caller, so numba looks at their types
+        self._kernels.plant_legs(self.tables, self.state, quats, pelvis)
 
 
 def _place(base: ArrayLike) -> tuple[float, float, float]:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from shapely import intersects, linestrings, union_all
 
 from h3data.bodies import Humanoid, Robot
-from h3data.bodies.people.planted_gait import on_stairs, pose_planted
+from h3data.bodies.people.planted_gait import pose_planted
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.bodies.people.soles import LEG_JOINTS, runs, sole_points
 from h3data.errors import H3DataError
@@ -367,8 +367,8 @@ class _Poses(PosedRecording):
         planted = not any(f"agent_{agent}.{name}" in self.recording.columns for name in ("joint_quat", "motion_seat"))
         if not planted or self._gestures_of(agent) is not None:
             return self.joint_matrices(agent, steps)[:, LEG_JOINTS]
-        states = self._gait_of(agent, body)[steps]  # arms, which may be drawn in, do not move legs
-        quats, pelvis = pose_planted(on_stairs(body.gait_tables, self.heights), states, joints=_HEAD + 1)
+        tables, states = self._gait_of(agent, body)  # arms, which may be drawn in, do not move legs
+        quats, pelvis = pose_planted(tables, states[steps], joints=_HEAD + 1)
         return body.joint_matrices(self.recording.agent_column(agent, "base_pose")[steps], quats, pelvis)[:, LEG_JOINTS]
 
     def _add_agent(self, index: int, agent: Agent) -> None:

@@ -16,14 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import Humanoid
 from h3data.bodies.people.arms import draw_in
 from h3data.bodies.people.gestures import lead_hands
-from h3data.bodies.people.planted_gait import PlantedWalk, on_stairs, pose_planted
+from h3data.bodies.people.planted_gait import PlantedWalk, drawn_in, pose_planted
 from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError, suggest
 from h3data.plugins import names_from_data
 from h3data.recording import Dataset, Recording, write_mcap
 from h3data.recording.demonstrations import Demonstrations, read_demonstrations
 from h3data.render.light.sources import LightMode, check_light
-from h3data.scene.floor_heights import room_heights
 from sim_kinematic.contact.frames import body_frames
 from sim_kinematic.envs.single import checked_render_mode, run_seed
 from sim_kinematic.envs.stepper import checked_actions, gymnasium
@@ -318,8 +317,7 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
             if k in self._walks:
                 self._walks[k].step(base)
             else:
-                heights = room_heights(play.episode.scene.rooms)
-                self._walks[k] = PlantedWalk(on_stairs(member.body.gait_tables, heights), base)
+                self._walks[k] = PlantedWalk(drawn_in(member.body.gait_tables, play.episode.scene), base)
 
     def _joint_frames(self, number: int, body: Humanoid) -> NDArray[np.floating]:
         """Return the world frames of a person's joints now, [1, 55, 4, 4]."""

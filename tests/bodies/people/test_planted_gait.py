@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.motion import figures_of, motion_of
-from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
+from h3data.bodies import JOINT_INDEX, Humanoid, humanoid_names, load_humanoid
 from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS, IDLE, LOOK
 from h3data.bodies.people.planted_gait import on_floor, planted_states, pose_planted
 from h3data.bodies.people.soles import LEG_JOINTS, sole_points
@@ -191,6 +191,46 @@ def test_feet_keep_out_of_what_stands_in_front() -> None:
         quats, pelvis = pose_planted(tables, states)
         deepest.append(sole_points(body, _in_world(body, base, quats, pelvis))[..., 0].max() - wall)
     assert deepest[1] < 0.0 < deepest[0]
+
+
+@pytest.mark.parametrize("name", humanoid_names())
+def test_drawn_legs_keep_out_of_a_counter_beside_a_turn(name: str) -> None:
+    """Somebody turns away from a counter 25 cm before them and walks along it; recorded joints stay as they are."""
+    body, wall = load_humanoid(name), 3.0
+    room = np.repeat((wall - np.arange(100) * 0.05)[:, None], 200, axis=1)
+    free = SimpleNamespace(sdf=room, origin=np.array([-0.025, -5.0]), cell_m=0.05, heights=LEVEL)
+    recorded = on_floor(body.gait_tables, free)  # type: ignore[arg-type]
+    legs = [capsule for capsule in body.capsules if capsule.name.endswith(("thigh", "shank", "foot"))]
+    deepest = []
+    for tables in (recorded, recorded._replace(clear=1.0)):
+        depth = 0.0
+        for side in (1, -1):
+            for turn in (0.9, 1.3, 1.8):
+                states = planted_states(tables, base := turning_away(wall - 0.25, side * turn))
+                joints = body.joint_matrices(base, *pose_planted(tables, states))
+                for capsule in legs:
+                    for end in (capsule.start, capsule.end):
+                        x = joints[:, capsule.joint, 0, :3] @ end + joints[:, capsule.joint, 0, 3]
+                        depth = max(depth, float(x.max()) + min(capsule.radius, THICK_M) - wall)
+        deepest.append(depth)
+    print(name, deepest)
+    assert deepest[1] <= 0.02 < deepest[0]
+
+
+THICK_M = 0.1
+"""Radius of the capsules of legs; those of two bodies are thicker, because of their clothes."""
+
+
+def turning_away(nearest: float, turn: float) -> Array:
+    """Roots [T, 7] of somebody who faces +x at ``nearest`` [m], and walks off at a turning rate [rad/s], never nearer."""
+    x, z, roots = nearest, 0.0, []
+    for k in range(90):
+        heading = float(np.clip(turn * max(k - 10, 0) / 30, -1.7, 1.7))
+        speed = min(max(k - 10, 0) * 0.04, 0.8)
+        x, z = min(x + speed * np.cos(heading) / 30, nearest), z - speed * np.sin(heading) / 30
+        roots.append((x, z, heading))
+    track = np.array(roots)
+    return ground_pose(track[:, :2], track[:, 2])
 
 
 def _in_world(body: Humanoid, base: Array, quats: Array, pelvis: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.people.kernels.legs import LegMeasures, settle, stand_on, write_legs
+from h3data.bodies.people.kernels.legs import KNEES, LegMeasures, settle, stand_on, write_legs
 from h3data.bodies.people.kernels.tuple_math import inverse, multiply, nlerp, normalized, put, row3, row4, turned
 from h3data.geometry import Array
 from h3data.kernels import kernel, kernel_part
@@ -76,7 +76,7 @@ def sample_all(table, motion, phase, blend, ground, quats, pelvis):
         settle(table.legs, table.stand, quats[t], pelvis[t], ankle, foot, phase[t], min(max(blend[t], 0.0), 1.0))
         if len(ground):
             stand_on(table.legs, quats[t], pelvis[t], ankle, ground[t])
-        write_legs(table.legs, quats[t], pelvis[t], ankle, foot, angles)
+        write_legs(table.legs, quats[t], pelvis[t], ankle, foot, KNEES, angles)
         put(quats[t], 0, multiply(to_root, row4(quats[t], 0)))
         pelvis[t, 0], pelvis[t, 1], pelvis[t, 2] = turned(to_root, row3(pelvis, t))
 

@@ -35,8 +35,9 @@ from h3data.kernels import kernel, kernel_part
 LEG_JOINTS = np.array(
     [[JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right")] for part in ("hip", "knee", "ankle", "foot")]
 )
-KNEES_OUT = 0.10
-"""Outward component of the direction in which knees point, if the component in the direction of the foot is 1."""
+KNEES = (0.10, -0.10)
+"""Components to the left of the directions in which the left and the right knee point, if the component in the direction of
+the foot is 1: a little outwards, as those of people do."""
 
 
 class LegMeasures(NamedTuple):
@@ -126,19 +127,17 @@ def sink_pelvis(legs, quats, pelvis, ankle):
 
 
 @kernel_part()
-def write_legs(legs, quats, pelvis, ankle, foot, angles):
+def write_legs(legs, quats, pelvis, ankle, foot, knees, angles):
     """Compute the local rotations of the leg joints of one pose, in place.
 
-    ``angles`` [2, 3] are filled with the lean of each thigh, the flexion of the knee [rad] and the distance from hip to
-    ankle [m].
+    ``knees`` are the components to the left of the directions of both knees, as in `KNEES`. ``angles`` [2, 3] are filled
+    with the lean of each thigh, the flexion of the knee [rad] and the distance from hip to ankle [m].
     """
     pelvis_turn = row4(quats, 0)
     for k in range(2):
         hip = plus((pelvis[0], pelvis[1], pelvis[2]), turned(pelvis_turn, row3(legs.hips, k)), 1.0)
-        # knees point a little outwards, as those of people do
-        out = KNEES_OUT if k == 0 else -KNEES_OUT
         flexion, bone, _, hip_turn, knee_turn, ankle_turn, distance = solve_leg(
-            legs.thigh, legs.shank, out, pelvis_turn, hip, row3(ankle, k), foot[k, 0], foot[k, 1]
+            legs.thigh, legs.shank, knees[k], pelvis_turn, hip, row3(ankle, k), foot[k, 0], foot[k, 1]
         )
         # one sign for each rotation, so that blends take the shorter way
         put(quats, LEG_JOINTS[0, k], positive(hip_turn))
@@ -154,7 +153,7 @@ def write_legs(legs, quats, pelvis, ankle, foot, angles):
 def write_all_legs(legs, quats, pelvis, ankle, foot, angles):
     """Apply `write_legs` to all frames: quats [T, 55, 4], pelvis [T, 3], ankle and foot [T, 2, 3], angles [T, 2, 3]."""
     for t in range(len(quats)):
-        write_legs(legs, quats[t], pelvis[t], ankle[t], foot[t], angles[t])
+        write_legs(legs, quats[t], pelvis[t], ankle[t], foot[t], KNEES, angles[t])
 
 
 @kernel_part()
@@ -209,4 +208,4 @@ def settle_all(legs, stand, quats, pelvis, ankle, foot, phase, blend, ground):
         settle(legs, stand, quats[t], pelvis[t], ankle[t], foot[t], phase[t], min(max(blend[t], 0.0), 1.0))
         if len(ground):
             stand_on(legs, quats[t], pelvis[t], ankle[t], ground[t])
-        write_legs(legs, quats[t], pelvis[t], ankle[t], foot[t], angles)
+        write_legs(legs, quats[t], pelvis[t], ankle[t], foot[t], KNEES, angles)

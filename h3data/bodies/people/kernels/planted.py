@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from h3data.bodies.people.kernels.legs import LegMeasures, lowest, sinking, write_legs
+from h3data.bodies.people.kernels.legs import KNEES, LegMeasures, lowest, sinking, write_legs
 from h3data.bodies.people.kernels.steps import (
     beside_steps,
     on_a_tread,
@@ -30,7 +30,18 @@ from h3data.bodies.people.kernels.steps import (
     tread_of,
     under_foot,
 )
-from h3data.bodies.people.kernels.tuple_math import from_vector, inverse, multiply, nlerp, put, row3, row4, turned
+from h3data.bodies.people.kernels.tuple_math import (
+    dot,
+    from_vector,
+    inverse,
+    multiply,
+    nlerp,
+    plus,
+    put,
+    row3,
+    row4,
+    turned,
+)
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 from h3data.kernels import kernel, kernel_part
@@ -168,6 +179,9 @@ class GaitTables(NamedTuple):
     """Side of the cells of ``sdf`` [m]."""
     heights: Array
     """Table of floor heights (`h3data.scene.floor_heights`), [K, 10]; [0, 10] if the floor is level."""
+    clear: float
+    """1 for people who are only drawn: knees and swinging feet, too, keep clear of the obstacles of ``sdf``. 0 for people
+    whose joints are recorded, so that these stay the same in any bit."""
 
 
 @kernel_part(borrows=True)
@@ -235,6 +249,13 @@ def _own_phase(phase, foot):
 
 
 @kernel_part(borrows=True)
+def _foot_room(table, x, z):
+    """Return the free distance of heel or toes beyond what they keep from walls and furniture [m]."""
+    # drawn feet keep more: those of capsules are 5 cm thick, and distances are 1 cm too great at corners
+    return sample_sdf(table.sdf, table.origin, table.cell_m, x, z) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
+
+
+@kernel_part(borrows=True)
 def _slides_to(table, x, z, to_x, to_z):
     """Return where a point ends that moves from free floor towards a place and slides along obstacles in between."""
     for _ in range(SLIDES):
@@ -245,12 +266,12 @@ def _slides_to(table, x, z, to_x, to_z):
             break
         way_x, way_z = way_x / length, way_z / length
         # sphere tracing: within the free distance nothing can be hit, so each look may go as far as it says
-        room = sample_sdf(table.sdf, table.origin, table.cell_m, x, z) - FOOT_ROOM_M
+        room = _foot_room(table, x, z)
         for _ in range(LOOKS):
             if room <= TOUCHES_M or done >= length:
                 break
             done = min(done + room, length)
-            room = sample_sdf(table.sdf, table.origin, table.cell_m, x + way_x * done, z + way_z * done) - FOOT_ROOM_M
+            room = _foot_room(table, x + way_x * done, z + way_z * done)
         x, z = x + way_x * done, z + way_z * done
         if done >= length and room >= 0.0:
             break
@@ -266,26 +287,39 @@ def _slides_to(table, x, z, to_x, to_z):
 
 
 @kernel_part(borrows=True)
-def _beside_things(table, state, foot, left, ahead, yaw):
-    """Return a place of a foot in the body frame, moved out of walls and furniture: (left, ahead)."""
-    if table.sdf.shape[0] == 0:
+def _room_at(table, state, left, ahead):
+    """Return the distance of a place in the body frame to obstacles [m], and the direction away from them: (left, ahead, 0)."""
+    x, z, _ = _to_world(state[X], state[Z], state[HEADING], left, ahead, 0.0)
+    room, away = (
+        sample_sdf(table.sdf, table.origin, table.cell_m, x, z),
+        sdf_gradient(table.sdf, table.origin, table.cell_m, x, z),
+    )
+    return room, _to_body(0.0, 0.0, state[HEADING], away[0], away[1], 0.0)
+
+
+@kernel_part(borrows=True)
+def _beside_things(table, state, foot, left, ahead, yaw, flat):
+    """Return a place of a foot in the body frame, moved out of walls and furniture: (left, ahead).
+
+    ``flat`` is the share of its length that a pitched foot covers; at 0 the place stays.
+    """
+    if table.sdf.shape[0] == 0 or flat == 0.0:
         return left, ahead
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
-    c, s, feet = math.cos(heading), math.sin(heading), table.legs.feet[foot]
+    c, s, feet = flat * math.cos(heading), flat * math.sin(heading), table.legs.feet[foot]
     # one look from the root answers for most feet in open rooms: nothing is nearer than that
-    near = sample_sdf(table.sdf, table.origin, table.cell_m, state[X], state[Z]) - FOOT_ROOM_M
-    moved = False
-    # heel and toe tip; the ball lies between them
-    for point in (0, 2):
-        at_x, at_z = x + c * feet[point, 2], z - s * feet[point, 2]
+    near, moved = _foot_room(table, state[X], state[Z]), False
+    # heel and toe tip; only corners reach in between
+    for point in range(2 + int(table.clear)):
+        along = (feet[0, 2], feet[2, 2], 0.25 * feet[0, 2] + 0.75 * feet[2, 2])[point]
+        at_x, at_z = x + c * along, z - s * along
         if math.hypot(at_x - state[X], at_z - state[Z]) > near:
             slid_x, slid_z = _slides_to(table, state[X], state[Z], at_x, at_z)
             if abs(slid_x - at_x) + abs(slid_z - at_z) > 1e-6:
                 x, z, moved = x + slid_x - at_x, z + slid_z - at_z, True
     if not moved:  # to the last bit
         return left, ahead
-    left, ahead, _ = _to_body(state[X], state[Z], state[HEADING], x, z, heading)
-    return left, ahead
+    return _to_body(state[X], state[Z], state[HEADING], x, z, heading)[:2]
 
 
 @kernel_part(borrows=True)
@@ -298,8 +332,7 @@ def _lands_at(table, k, f, state, foot, left, ahead, gone):
     side = table.half_width if foot == 0 else -table.half_width
     onward = math.copysign(1.0, state[SPEED]) * _at(table.travel, k, f) * (1.0 - _own_phase(state[PHASE], foot) - gone)
     onward += _gait_ahead(table, k, f, state[SPEED], 0.0)
-    x, z, _ = _to_world(state[X], state[Z], state[HEADING], side + left, ahead + onward, 0.0)
-    return x, z
+    return _to_world(state[X], state[Z], state[HEADING], side + left, ahead + onward, 0.0)[:2]
 
 
 @kernel_part(borrows=True)
@@ -308,16 +341,14 @@ def _on_a_tread(table, state, foot, x, z, heading, came_from):
 
     Heel and toe then reach at most a little beyond the tread's edge.
     """
-    feet = table.legs.feet[foot]
-    return on_a_tread(table.heights, x, z, heading, feet[0, 2], feet[2, 2], came_from)
+    return on_a_tread(table.heights, x, z, heading, table.legs.feet[foot, 0, 2], table.legs.feet[foot, 2, 2], came_from)
 
 
 @kernel_part(borrows=True)
 def _came_from(table, state, foot):
     """Return the number of the tread that a foot stands on or has left."""
-    at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
-    place = state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2]
-    return tread_of(table.heights, place[0], place[1], place[2], feet[0, 2], feet[2, 2])
+    at, feet = FOOT + foot * FOOT_COLUMNS + PLANT, table.legs.feet[foot]
+    return tread_of(table.heights, state[at], state[at + 1], state[at + 2], feet[0, 2], feet[2, 2])
 
 
 @kernel_part(borrows=True)
@@ -328,8 +359,7 @@ def _stand_place(table, state, foot):
         return side, table.middle[0]
     x, z, heading = _to_world(state[X], state[Z], state[HEADING], side, table.middle[0], 0.0)
     x, z = _on_a_tread(table, state, foot, x, z, heading, -1)
-    left, ahead, _ = _to_body(state[X], state[Z], state[HEADING], x, z, heading)
-    return left, ahead
+    return _to_body(state[X], state[Z], state[HEADING], x, z, heading)[:2]
 
 
 @kernel_part(borrows=True)
@@ -403,7 +433,7 @@ def _swing_line(table, k, f, state, foot, share):
 def _swing_place(table, k, f, state, foot):
     """Return where a swinging foot is over the floor, in the body frame, and how far it has moved since it left."""
     left, ahead, yaw, done = _swing_line(table, k, f, state, foot, state[FOOT + foot * FOOT_COLUMNS + SHARE])
-    left, ahead = _beside_things(table, state, foot, left, ahead, yaw)
+    left, ahead = _beside_things(table, state, foot, left, ahead, yaw, 1.0)
     return left, ahead, yaw, done
 
 
@@ -439,17 +469,22 @@ def _gait_shape(table, k, f, state, foot):
         forwards = 1.0 if state[SPEED] >= 0.0 else 0.0
         pitch = forwards * _curve(table.stand_foot, k, f, share, 0)
         return pitch, forwards * _curve(table.stand_foot, k, f, share, 1), 0.0, 0.0
-    share = state[at + SHARE]
+    share, aside = state[at + SHARE], 1.4 * (table.half_width if foot == 0 else -table.half_width)
+    # a raised knee needs room: where there are less than 10 cm ahead of the foot, drawn steps get lower, down to 0.1
+    low = min(max(0.1 + 9.0 * _room_at(table, state, aside, 0.25)[0], 0.1), 1.0) if table.clear > 0.0 else 1.0
     # backwards a little of the swing is left: without any the toes would drag
-    forwards = 1.0 if state[SPEED] >= 0.0 else 0.3
+    forwards = low * (1.0 if state[SPEED] >= 0.0 else 0.3)
     pitch, bend = _curve(table.swing_foot, k, f, share, 0), _curve(table.swing_foot, k, f, share, 1)
     along, up = _curve(table.swing_path, k, f, share, 0), _curve(table.swing_path, k, f, share, 1)
-    off = math.hypot(state[at + LEFT_AT] - state[at + LANDS_AT], state[at + LEFT_AT + 1] - state[at + LANDS_AT + 1])
     # a turn of the foot counts as its toes move: they are about 0.2 m from the ankle
-    off += 0.2 * abs(state[at + LEFT_AT + 2] - state[at + LANDS_AT + 2])
+    off = math.hypot(
+        state[at + LEFT_AT] - state[at + LANDS_AT], state[at + LEFT_AT + 1] - state[at + LANDS_AT + 1]
+    ) + 0.2 * abs(state[at + LEFT_AT + 2] - state[at + LANDS_AT + 2])
     # its square has no speed at either end, as the path has none
     arc = math.sin(math.pi * min(max((share - state[at + SINCE]) / max(1 - state[at + SINCE], 1e-6), 0.0), 1.0))
-    return forwards * pitch, forwards * bend, forwards * along, up + min(LIFT * off, LIFT_MOST_M) * arc * arc
+    # drawn knees pop less with 0.4 of the lift
+    lift = low * min((1 - 0.6 * table.clear) * LIFT * off, LIFT_MOST_M) * arc * arc
+    return forwards * pitch, forwards * bend, forwards * along, up + lift - (1 - low) * (up - table.ankle_height)
 
 
 @kernel_part(borrows=True)
@@ -481,7 +516,45 @@ def _ankle(table, k, f, state, foot):
     c, s = math.cos(yaw), math.sin(yaw)
     # last, because the height of the floor depends on how far ahead the ankle is
     up += _above_root(table, k, f, state, foot, along)
-    return (left + s * along, up, ahead + c * along), pitch, bend, yaw
+    # of drawn people again: beside its place on the floor, a swinging ankle reaches farther ahead
+    flat = table.clear * state[FOOT + foot * FOOT_COLUMNS + AIR] * math.cos(math.radians(pitch))
+    left, ahead = _beside_things(table, state, foot, left + s * along, ahead + c * along, yaw, flat)
+    return (left, up, ahead), pitch, bend, yaw
+
+
+@kernel_part(borrows=True)
+def _write_feet(table, state, ankle, foot):
+    """Writes ankles [2, 3] in the body frame, and pitch, yaw and bend of the feet [2, 3] [deg]."""
+    # feet go by the speed, trunk and arms by the style, which follows it more slowly
+    k, f = _row(table, state[SPEED])
+    for side in range(2):
+        at, pitch, bend, yaw = _ankle(table, k, f, state, side)
+        ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
+        foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
+
+
+@kernel_part(borrows=True)
+def _knee(table, state, quats, pelvis, ankle, foot, side):
+    """Returns the outward component of the direction of a knee, as `write_legs` needs it.
+
+    Knees of drawn people turn by half of the yaw of the foot, and away from obstacles. Knees that point where the feet do
+    are up to 8 cm inside counters from which people turn away, since the trailing foot lags behind by up to 31 degrees.
+    """
+    if table.clear == 0.0:
+        return KNEES[side]
+    thigh, shank, yaw = table.legs.thigh, table.legs.shank, math.radians(foot[side, 1])
+    hip = plus((pelvis[0], pelvis[1], pelvis[2]), turned(row4(quats, 0), row3(table.legs.hips, side)), 1.0)
+    path = plus(row3(ankle, side), hip, -1.0)
+    # the knee is on a circle of radius ``bow`` about the line from hip to ankle
+    square = dot(path, path)
+    part = (thigh * thigh - shank * shank + square) / (2 * square)
+    turn, bow = 0.5 * yaw + KNEES[side], math.sqrt(max(thigh * thigh - part * part * square, 0.0))
+    for _ in range(3):
+        c, s = math.cos(turn), math.sin(turn)
+        room, away = _room_at(table, state, hip[0] + part * path[0] + bow * s, hip[2] + part * path[2] + bow * c)
+        # 0.095: distance of a knee from obstacles [m], about its radius
+        turn += min(max(0.095 - room, 0.0) / max(bow, 0.05), 0.5) * (c * away[0] - s * away[1])
+    return math.tan(min(max(turn, -0.8), 0.8)) * math.cos(yaw) - math.sin(yaw)
 
 
 @kernel_part(borrows=True)
@@ -698,7 +771,7 @@ def _toes(table, k, f, state, foot, share):
 @kernel_part(borrows=True)
 def _unhurried(table, k, f, state, ahead, dt):
     """Return the cycles, at most ``ahead``, by which the phase advances so that no swinging foot moves too fast."""
-    most = max(SWING_MPS, _at(table.swing, k, f)) * dt
+    most = max((1 - 0.08 * table.clear) * SWING_MPS, _at(table.swing, k, f)) * dt
     slowest = ahead
     for foot in range(2):
         share = state[FOOT + foot * FOOT_COLUMNS + SHARE]
@@ -843,16 +916,19 @@ def _pelvis_turn(table, state):
 
 
 @kernel_part(borrows=True)
+def _tallest(table, aside, onward):
+    """Return how high a hip may be above its ankle, which is ``aside`` and ``onward`` from it along the floor [m]."""
+    longest = STRETCHED * (table.legs.thigh + table.legs.shank)
+    return math.sqrt(max(longest * longest - aside * aside - onward * onward, 0.0))
+
+
+@kernel_part(borrows=True)
 def _lacks(table, k, f, state, foot):
     """Return how far the pelvis of the gait must sink for a foot to be within reach [m]."""
     place, turn = _pelvis(table, state), _pelvis_turn(table, state)
     ankle, _, _, _ = _ankle(table, k, f, state, foot)
     hip = turned(turn, row3(table.legs.hips, foot))
-    aside, onward = place[0] + hip[0] - ankle[0], place[2] + hip[2] - ankle[2]
-    # the hip may be as high above the ankle as a leg of this length leaves after its distance along the floor
-    longest = STRETCHED * (table.legs.thigh + table.legs.shank)
-    room = math.sqrt(max(longest * longest - aside * aside - onward * onward, 0.0))
-    return place[1] + hip[1] - ankle[1] - room
+    return place[1] + hip[1] - ankle[1] - _tallest(table, place[0] + hip[0] - ankle[0], place[2] + hip[2] - ankle[2])
 
 
 @kernel_part(borrows=True)
@@ -868,10 +944,7 @@ def _will_lack(table, k, f, state, foot):
     floor = under_foot(table.heights, x, z, heading, feet[0, 2], feet[2, 2])
     up = floor - height_at(table.heights, 0.0, root_x, root_z) + table.ankle_height
     hip = turned(turn, row3(table.legs.hips, foot))
-    aside, onward = place[0] + hip[0] - left, place[2] + hip[2] - (ahead - gone)
-    longest = STRETCHED * (table.legs.thigh + table.legs.shank)
-    room = math.sqrt(max(longest * longest - aside * aside - onward * onward, 0.0))
-    return place[1] + hip[1] - up - room
+    return place[1] + hip[1] - up - _tallest(table, place[0] + hip[0] - left, place[2] + hip[2] - (ahead - gone))
 
 
 @kernel_part(borrows=True)
@@ -909,13 +982,9 @@ def pose_state(table, state, quats, pelvis, ankle, foot, angles):
         put(quats, j, multiply(from_vector(0.0, 0.5 * state[LOOK], 0.0), row4(quats, j)))
     place = _pelvis(table, state)
     pelvis[0], pelvis[1], pelvis[2] = place[0], place[1] - state[SINK], place[2]
-    # feet go by the speed, trunk and arms above by the style, which follows it more slowly
-    k, f = _row(table, state[SPEED])
-    for side in range(2):
-        at, pitch, bend, yaw = _ankle(table, k, f, state, side)
-        ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
-        foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
-    write_legs(table.legs, quats, pelvis, ankle, foot, angles)
+    _write_feet(table, state, ankle, foot)
+    knees = (_knee(table, state, quats, pelvis, ankle, foot, 0), _knee(table, state, quats, pelvis, ankle, foot, 1))
+    write_legs(table.legs, quats, pelvis, ankle, foot, knees, angles)
     to_root = row4(table.to_root.reshape(1, 4), 0)
     put(quats, 0, multiply(to_root, row4(quats, 0)))
     pelvis[0], pelvis[1], pelvis[2] = turned(to_root, (pelvis[0], pelvis[1], pelvis[2]))
@@ -991,11 +1060,7 @@ def plant_legs(table, state, quats, pelvis):
     The pose, quats [55, 4] and pelvis [3], is in the agent root frame. The pelvis sinks where a leg would be too short.
     """
     ankle, foot, angles = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
-    k, f = _row(table, state[SPEED])
-    for side in range(2):
-        at, pitch, bend, yaw = _ankle(table, k, f, state, side)
-        ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
-        foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
+    _write_feet(table, state, ankle, foot)
     to_root = row4(table.to_root.reshape(1, 4), 0)
     # legs are solved in the body frame, and recorded in that of the agent root
     to_body = inverse(to_root)
@@ -1003,6 +1068,6 @@ def plant_legs(table, state, quats, pelvis):
     place = turned(to_body, (pelvis[0], pelvis[1], pelvis[2]))
     sink = sinking(table.legs.hips, table.legs.longest, row4(quats, 0), place, ankle)
     pelvis[0], pelvis[1], pelvis[2] = place[0], place[1] - sink, place[2]
-    write_legs(table.legs, quats, pelvis, ankle, foot, angles)
+    write_legs(table.legs, quats, pelvis, ankle, foot, KNEES, angles)
     put(quats, 0, multiply(to_root, row4(quats, 0)))
     pelvis[0], pelvis[1], pelvis[2] = turned(to_root, (pelvis[0], pelvis[1], pelvis[2]))

@@ -112,7 +112,10 @@ def gesture_all(left, right, quats, pelvis, gestures, places, counts, numbers, p
                 upper, lower = row3(body.offsets, body.joints[2]), row3(body.offsets, body.joints[3])
                 arm = math.sqrt(dot(upper, upper)) + math.sqrt(dot(lower, lower))
                 # a hand is drawn back before it is lowered, not through the edge of a table
-                ahead, up = arm * share * ((1 - u) * here[0] + u * there[0]), arm * ((1 - u) * here[1] + u * there[1])
+                ahead, up = (
+                    arm * share**2 * ((1 - u) * here[0] + u * there[0]),
+                    arm * ((1 - u) * here[1] + u * there[1]),
+                )
                 aside = -body.sign * arm * ((1 - u) * here[2] + u * there[2])
                 collar, shoulder = _shoulder(body, quats[t], pelvis[t])
                 # small bodies raise the hands to the chest at most

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.people.kernels.legs import KNEES_OUT, solve_leg
+from h3data.bodies.people.kernels.legs import KNEES, solve_leg
 from h3data.bodies.people.kernels.tuple_math import (
     cross,
     dot,
@@ -96,8 +96,8 @@ class ReachBody(NamedTuple):
 
 @kernel_part()
 def _solve_leg(body, k, pelvis_turn, hip, quats):
-    """Return one leg from its hip to its ankle, the foot flat; returns knee flexion, lean of the shank and the knee."""
-    ankle, out = row3(body.ankles, k), KNEES_OUT if k == 0 else -KNEES_OUT
+    """Solve one leg from its hip to its ankle, the foot flat, and return knee flexion, lean of the shank and the knee."""
+    ankle, out = row3(body.ankles, k), KNEES[k]
     flexion, bone, thigh_turn, hip_turn, knee_turn, ankle_turn, _ = solve_leg(
         body.bones[0], body.bones[1], out, pelvis_turn, hip, ankle, 0.0, 0.0
     )
