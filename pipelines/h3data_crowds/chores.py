@@ -177,7 +177,7 @@ class ChoreRoutine(Routine):
             number: Number of the agent; people with different numbers put their things at different spots.
         """
         super().__init__(scene, free, stops, body)
-        self._body, self._plans, self._own = body, dict[int, Chore | InputError](), dict[int, int]()
+        self._body, self.plans, self.own = body, dict[int, Chore | InputError](), dict[int, int]()
         things, held = list[Body](), ""
         for k, stop in enumerate(self.stops):
             if stop.activity not in CHORES or stop.activity in UNPLANNED:
@@ -185,27 +185,32 @@ class ChoreRoutine(Routine):
                     things.append(_body("phone", np.full(7, np.nan)))
                 continue
             try:
-                plan = _planned(scene, free, body, stop, start, number, tray=held == "tray")
+                plan = planned(scene, free, body, stop, start, number, tray=held == "tray")
             except InputError as fault:
-                self._plans[k] = fault
+                self.plans[k] = fault
                 continue
-            self._plans[k] = plan
+            self.plans[k] = plan
             if stop.activity == "put":
                 held = ""
                 continue
             held = {"take": "carton", "lift": "tray"}[stop.activity]
             count = sum(thing.name.startswith(held) for thing in things)
-            self._own[k] = len(things)
+            self.own[k] = len(things)
             things.append(_body(held, np.concatenate([plan.spot, plan.root[3:]]), count))
         looks = dict.fromkeys(thing.asset for thing in things)
-        self.hands = self._work = HandWork(tuple(things), tuple(LOOKS[name][0] for name in looks))
+        self._work = HandWork(tuple(things), tuple(LOOKS[name][0] for name in looks))
+        self.use(self._work)
         scale = reacher(body, "right").body.scale
         self._carry = np.stack([CARRIED * scale * (1, 1, -1), CARRIED * scale])
         self._tray_at = _carried_tray(body, scale)
-        self._holds: tuple[int, int] | None = None
+        self.holds: tuple[int, int] | None = None
         """Number of the thing in the hands, and the hand: left 0, right 1, both 2."""
         self._gone: set[int] = set()
         """Numbers of the things that have been taken."""
+
+    def use(self, hands: HandWork) -> None:
+        """Change the state of other hands, which have the same things, from now on."""
+        self.hands = self._work = hands
 
     def errand_at(
         self, k: int, xz: NDArray[np.float64], taken: Sequence[Array]
@@ -215,8 +220,8 @@ class ChoreRoutine(Routine):
         Chores that are impossible now are skipped, e.g. because the hands are full or empty, or the thing has been
         taken.
         """
-        stop, plan = self.stops[k], self._plans.get(k)
-        free_hands = self._holds is None
+        stop, plan = self.stops[k], self.plans.get(k)
+        free_hands = self.holds is None
         # nobody who holds something sits down or takes out a phone: they stand
         if plan is None and not free_hands and stop.activity != "put":
             found = place_beside(self._scene, self._free, stop.place, xz)
@@ -245,9 +250,9 @@ class ChoreRoutine(Routine):
             station = Station(stop.place, 0.0, np.append(place, PERSON_M), partial(self._look_at_phone, place, number))
             return (found[0], found[1]._replace(look=None, station=station)), refused
         if stop.activity == "put":
-            fits = self._holds is not None and (self._holds[1] == 2) == plan.wide
+            fits = self.holds is not None and (self.holds[1] == 2) == plan.wide
         else:
-            fits = free_hands and self._own[k] not in self._gone
+            fits = free_hands and self.own[k] not in self._gone
         place = np.append(plan.root[[0, 2]], heading_from_quat(plan.root[3:]))
         if not fits or any(np.hypot(*(place[:2] - other[:2])) < PERSON_M for other in taken):
             return None, ("", "")
@@ -258,13 +263,23 @@ class ChoreRoutine(Routine):
     def _do(self, place: Array, k: int, plan: Chore, here: Array, seconds: float) -> Motion:
         """Yield the motion of somebody who steps to a place [3] and does the chore of stop ``k`` there."""
         yield from steps_between(here, place)
+        yield from self.handle(plan, self.own[k] if self.holds is None else self.holds[0], place, seconds)
+
+    def handle(self, plan: Chore, number: int, place: Array, seconds: float) -> Motion:
+        """Yield the motion of somebody who does a chore with thing ``number`` where they have come to stand, a place [3].
+
+        Args:
+            plan: The chore, which was planned for this place.
+            number: Number of the thing in `HandWork.things`.
+            place: Place ``(x, z, heading)`` of the person [3].
+            seconds: Time for the chore, including `SETTLES_S` for getting there [s].
+        """
         for _ in range(round(SETTLE_S / STEP_S)):
             yield place, 0.0
         work, t = self._work, np.arange(round((seconds - SETTLES_S) / STEP_S)) * STEP_S
         puts = plan.name == "put"
-        moves = self._put(plan, t) if puts else self._lift(plan, t) if plan.name == "lift" else self._take(plan, t)
-        assert not puts or self._holds is not None
-        number = self._own[k] if self._holds is None else self._holds[0]
+        moves = self._put(plan, t) if puts else self._take_up(plan, t) if plan.name == "lift" else self._take(plan, t)
+        assert not puts or self.holds is not None
         for n, lead in enumerate(moves.lead):
             work.lead[:] = lead
             if moves.joint >= 0:
@@ -272,7 +287,7 @@ class ChoreRoutine(Routine):
             if (n <= moves.moment) if puts else (n >= moves.moment):
                 work.held[number] = np.append(moves.places[n], IDENTITY_POSE[3:])
             if n == moves.moment:
-                self._holds = None if puts else (number, moves.hand)
+                self.holds = None if puts else (number, moves.hand)
                 self._gone.add(number)
                 work.events.append(("puts" if puts else "takes", work.things[number].name, plan.place))
             yield place, 0.0
@@ -281,6 +296,20 @@ class ChoreRoutine(Routine):
 
     def _look_at_phone(self, place: Array, number: int, here: Array, seconds: float) -> Motion:
         """Yield the motion of somebody who looks at a phone while they turn to a place [3] and stand there."""
+        steps = max(round(seconds / STEP_S), 90)
+        share = np.minimum(_ramp(np.arange(steps) * STEP_S, 0.0, 0.8), _ramp(np.arange(steps)[::-1] * STEP_S, 0.0, 0.8))
+        yield from self.show_phone(number, share, place, steps_between(here, place))
+        del self._work.held[number]
+
+    def show_phone(self, number: int, shares: Array, place: Array, way: Motion) -> Motion:
+        """Yield the motion of somebody at the end of a way, at a place [3], whose right hand is led to a phone.
+
+        Args:
+            number: Number of the phone in `HandWork.things`.
+            shares: Shares [T], 0 to 1, by which the hand is led to where a phone is looked at.
+            place: Place ``(x, z, heading)`` [3].
+            way: Motion of the feet meanwhile, up to the place.
+        """
         body, work = self._body, self._work
         quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
         # the gesture, which replays add by the name of the activity, lowers the head; the palm is led to where it is then
@@ -289,13 +318,11 @@ class ChoreRoutine(Routine):
         work.lead[1, :3] = palm
         # 0.3: half of the angle by which the phone leans back
         shown = np.array([*np.add(palm, (0.0, 0.03, 0.0)), 0.0, 0.0, -np.sin(0.3), np.cos(0.3)])
-        steps, way = max(round(seconds / STEP_S), 90), steps_between(here, place)
-        share = np.minimum(_ramp(np.arange(steps) * STEP_S, 0.0, 0.8), _ramp(np.arange(steps)[::-1] * STEP_S, 0.0, 0.8))
-        for n in range(steps):
-            work.lead[1, 3] = share[n]
-            work.held[number] = shown if 20 <= n < steps - 20 else np.full(7, np.nan)
+        for share in shares:
+            work.lead[1, 3] = share
+            # 0.95: share from which on the hand is nearly there
+            work.held[number] = shown if share > 0.95 else np.full(7, np.nan)
             yield next(way, (place, 0.0))
-        del work.held[number]
 
     def _knock(self, place: Array, gap: float, here: Array, seconds: float) -> Motion:
         """Yield the motion of somebody who knocks at what is ``gap`` [m] ahead of a place [3]."""
@@ -344,8 +371,11 @@ class ChoreRoutine(Routine):
         positions = joint.closed + np.sign(joint.opened - joint.closed) * angle
         return Movement(lead, lead[:, h, :3], int(np.searchsorted(t, 3.6)), h, plan.joint, positions)
 
-    def _lift(self, plan: Chore, t: Array) -> Movement:
-        """Take up a tray with both hands."""
+    def _take_up(self, plan: Chore, t: Array) -> Movement:
+        """Take up a tray with both hands, or a smaller thing as it is put down, played backwards."""
+        if not plan.wide:
+            down = self._put(plan, t)
+            return down._replace(lead=down.lead[::-1], places=down.places[::-1], moment=len(t) - 1 - down.moment)
         up, spot = _ramp(t, 1.7, 2.9)[:, None], _seen(plan.root, plan.spot[None])[0]
         # hands come from above, not through the edge of a table
         middle = self._tray_at + (_ramp(t, 0.5, 1.5)[:, None] - up) * (spot - self._tray_at)
@@ -354,9 +384,8 @@ class ChoreRoutine(Routine):
         return Movement(lead, middle, int(np.searchsorted(t, 1.6)))
 
     def _put(self, plan: Chore, t: Array) -> Movement:
-        """Put down what the hands hold."""
-        assert self._holds is not None
-        hand, spot = self._holds[1], _seen(plan.root, plan.spot[None])[0]
+        """Put down what the hands hold, or hands that are empty, of which the right one would hold a thing."""
+        hand, spot = 1 if self.holds is None else self.holds[1], _seen(plan.root, plan.spot[None])[0]
         lean, out = _ramp(t, 0.2, 1.4) - _ramp(t, 2.0, 3.0), (_ramp(t, 0.0, 1.5) - _ramp(t, 2.0, 3.0))[:, None]
         start = self._tray_at if hand == 2 else self._carry[hand]
         places = start + out * (spot - start)
@@ -431,14 +460,36 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
     """
     scene, free, member = episode.scene, episode.free, episode.roster[number]
     body, start = member.body, episode.starts[number, :2]
-    rng, things = generator(episode.seed, "breakfast", world=number), dict[str, list[str]]()
+    stops = chosen_stops(episode, number, BREAKFAST, generator(episode.seed, "breakfast", world=number), KEPT)
+    if not stops:
+        raise SceneError(
+            f"{member.name} can have no breakfast in {scene.name}. Hint: choose a home that opens, such as medium-open:3.",
+            code="H3-TASK-089",
+        )
+    return ChoreRoutine(scene, free, stops, body, start=start, number=number)
+
+
+def chosen_stops(
+    episode: Any, number: int, parts: Sequence[Sequence[tuple[str, tuple[str, ...], float]]], rng: Any, kept: float
+) -> list[Stop]:
+    """Return stops of an agent at random things of the home, without the parts that are impossible there.
+
+    Args:
+        episode: The episode.
+        number: Number of the agent.
+        parts: Parts as in `BREAKFAST`.
+        rng: Random numbers.
+        kept: Share of the parts that are not left out.
+    """
+    scene, free, body, start = episode.scene, episode.free, episode.roster[number].body, episode.starts[number, :2]
+    things = dict[str, list[str]]()
     for instance in scene.instances:
         # not the fronts of drawers, whose names have the thing's before a slash
         if "/" not in instance.name:
             things.setdefault(scene.assets[instance.asset].category, []).append(instance.name)
     stops: list[Stop] = []
-    for part in BREAKFAST:
-        wanted, chosen, tray = rng.random() < KEPT, list[Stop](), False
+    for part in parts:
+        wanted, chosen, tray = rng.random() < kept, list[Stop](), False
         for activity, categories, seconds in part:
             tray = tray or activity == "lift"
             there = [name for category in categories for name in things.get(category, ())]
@@ -446,18 +497,13 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
                 stop = Stop(there[k], activity, seconds)
                 try:
                     if activity in CHORES and activity not in UNPLANNED:
-                        _planned(scene, free, body, stop, start, number, tray=tray)
+                        planned(scene, free, body, stop, start, number, tray=tray)
                 except InputError:
                     continue
                 chosen.append(stop)
                 break
         stops += chosen if len(chosen) == len(part) else []
-    if not stops:
-        raise SceneError(
-            f"{member.name} can have no breakfast in {scene.name}. Hint: choose a home that opens, such as medium-open:3.",
-            code="H3-TASK-089",
-        )
-    return ChoreRoutine(scene, free, stops, body, start=start, number=number)
+    return stops
 
 
 def _carried_tray(body: Humanoid, scale: float) -> Array:
@@ -500,7 +546,7 @@ def _kept_plan(
     return chore_at(scene, free, body, stop, near=np.array(near), number=number, tray=tray)
 
 
-def _planned(
+def planned(
     scene: Scene, free: FreeSpace, body: Humanoid, stop: Stop, start: Array, number: int, *, tray: bool
 ) -> Chore:
     """Return the chore of a stop; a breakfast that was chosen because it can be done is not planned twice."""

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from h3data.errors import InputError
-from sim_kinematic.agents.skills import CONTROL, SIT, Action, Destination, Message, Objects
+from sim_kinematic.agents.skills import CHORE, CHORES, CONTROL, SIT, Action, Destination, Message, Objects
 
 HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
 """Largest turns of the head from the direction of the chest [rad]."""
@@ -84,7 +84,15 @@ class Sit:
     """True if the person then lies down, on a bed or sofa that is large enough."""
 
 
-Do = Pick | Place | Drop | HandOver | Open | Close | Sit
+@dataclass(frozen=True)
+class Chore:
+    """Command to handle a thing that the person brought along, where the rules of the task have chores."""
+
+    name: str
+    """Chore: one of `sim_kinematic.agents.skills.CHORES`."""
+
+
+Do = Pick | Place | Drop | HandOver | Open | Close | Sit | Chore
 
 
 @dataclass(frozen=True)
@@ -135,8 +143,10 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
         return Action("open" if isinstance(do, Open) else "close", _joint(do.joint, objects))
     if isinstance(do, Sit):
         return Action(SIT, command=(do.lies,) if do.lies else ())
+    if isinstance(do, Chore) and do.name in CHORES:
+        return Action(CHORE, CHORES.index(do.name))
     if do is not None:
-        raise InputError(f"Expected Pick, Place, Drop, HandOver, Open, Close or Sit, got {do!r}.", code="H3-SIM-001")
+        raise InputError(f"Expected Pick, Place, Drop, HandOver, Open, Close, Sit or a Chore ({', '.join(CHORES)}), got {do!r}.", code="H3-SIM-001")
     if not hasattr(given, "forward") and np.shape(given) == (2,):
         given = PersonCommand(*given)
     if not (hasattr(given, "forward") and hasattr(given, "turn")):
