@@ -542,21 +542,27 @@ def _ramp(t: Array, start: float, end: float) -> Array:
 @lru_cache(maxsize=256)
 def _kept_plan(
     scene: Scene, free: FreeSpace, body: Humanoid, stop: Stop, near: tuple[float, float], number: int, tray: bool
-) -> Chore:
-    return chore_at(scene, free, body, stop, near=np.array(near), number=number, tray=tray)
+) -> Chore | InputError:
+    try:
+        return chore_at(scene, free, body, stop, near=np.array(near), number=number, tray=tray)
+    except InputError as fault:
+        return fault
 
 
 def planned(
     scene: Scene, free: FreeSpace, body: Humanoid, stop: Stop, start: Array, number: int, *, tray: bool
 ) -> Chore:
-    """Return the chore of a stop; a breakfast that was chosen because it can be done is not planned twice."""
+    """Return the chore of a stop; the same one is not planned twice."""
     least = CHORES[stop.activity] + SETTLES_S
     if stop.seconds < least:
         raise InputError(
             f"Expected at least {least:g} s for {stop.activity!r}, got {stop.seconds:g}.",
             code="H3-TASK-088",
         )
-    return _kept_plan(scene, free, body, stop, (float(start[0]), float(start[1])), number, tray)
+    found = _kept_plan(scene, free, body, stop, (float(start[0]), float(start[1])), number, tray)
+    if isinstance(found, InputError):
+        raise found.with_traceback(None)
+    return found
 
 
 # --- places --------------------------------------------------------------------------------------------------------------
@@ -737,12 +743,14 @@ def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: boo
                 continue
             near = np.clip(place[:2] + 0.05 * ahead[[0, 2]], low, high)
             spot = np.array([near[0], centre[1] + half[1], near[1]])
+            # first what takes least time to find out
+            if float(abs((near - place[:2]) @ [-ahead[2], ahead[0]])) >= ASIDE_M:
+                continue
             grips = _seen(root, _grips(spot, root) if wide else np.stack([spot, spot]))
             farther = _farther(body, grips) if wide else 0.0
             if not (np.isfinite(farther) if wide else reacher(body, "left").reachable(grips[:1])[0]):
                 continue
-            aside = float(abs((near - place[:2]) @ [-ahead[2], ahead[0]]))
-            if aside < ASIDE_M and not _occupied(scene, thing, spot, inset):
+            if not _occupied(scene, thing, spot, inset):
                 return Chore(name, thing.name, root, spot, farther_m=farther, wide=wide)
     return None
 
@@ -774,19 +782,20 @@ def _arm(body: Humanoid, side: int) -> float:
 
 
 @lru_cache(maxsize=16)
-def _solids(scene: Scene) -> list[tuple[Instance, Array]]:
-    """Return everything in a scene that has shapes, with its bounds [2, 3]."""
-    return [(each, instance_bounds(scene, each)) for each in scene.instances if scene.assets[each.asset].shapes]
+def _solids(scene: Scene) -> tuple[list[Instance], Array]:
+    """Return everything in a scene that has shapes, with its bounds [N, 2, 3]."""
+    solids = [each for each in scene.instances if scene.assets[each.asset].shapes]
+    return solids, np.array([instance_bounds(scene, each) for each in solids]).reshape(-1, 2, 3)
 
 
 def _occupied(scene: Scene, thing: Instance, spot: Array, inset: Array) -> bool:
     """Return whether something stands where a tray would."""
-    for other, (low, high) in _solids(scene):
-        if other is thing:
-            continue
-        if low[1] < spot[1] + 0.2 and high[1] > spot[1] - 0.005 and not other.name.startswith(f"{thing.name}/"):
-            if (np.maximum(low[[0, 2]] - spot[[0, 2]], spot[[0, 2]] - high[[0, 2]]) >= inset).any():
-                continue
+    solids, bounds = _solids(scene)
+    low, high = bounds[:, 0], bounds[:, 1]
+    near = (low[:, 1] < spot[1] + 0.2) & (high[:, 1] > spot[1] - 0.005)
+    near &= (np.maximum(low - spot, spot - high)[:, [0, 2]] < inset).all(1)
+    for other in (solids[k] for k in np.flatnonzero(near)):
+        if other is not thing and not other.name.startswith(f"{thing.name}/"):
             # walls are around everything, and chairs before a table are not over it
             points = transform_points(instance_matrix(other), scene.assets[other.asset].mesh.vertices) - spot
             there = (np.abs(points[:, [0, 2]]) < inset).all(1) & (points[:, 1] > -0.005) & (points[:, 1] < 0.2)

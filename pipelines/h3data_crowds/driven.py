@@ -73,7 +73,7 @@ class DrivenHands(HandWork):
         if action.skill == CHORE:
             found = self._found(actor, NUMBERED[action.target])
             return found if isinstance(found, str) else ""
-        return "hand_full" if self.routine.holds is not None and action.skill not in (CONTROL, "wait") else ""
+        return "hand_full" if self.full and action.skill not in (CONTROL, "wait") else ""
 
     def start(self, actor: DrivenPerson, action: Action) -> Skill:
         """Walk to the place of a chore and do it."""
@@ -91,6 +91,39 @@ class DrivenHands(HandWork):
             return walked
         yield from actor.person.settle()
         return (yield from actor.perform(self._handle(number, plan, place)))
+
+    @property
+    def full(self) -> bool:
+        """Return whether the hands hold a thing."""
+        return self.routine.holds is not None
+
+    @property
+    def shows_phone(self) -> bool:
+        """Return whether the phone is in the hand."""
+        return self.routine.holds == (self.phone, 1)
+
+    def offers(self, actor: DrivenPerson) -> list[tuple[str, str]]:
+        """Return the chores that seem possible from where somebody stands, each with the kind of its thing.
+
+        Whether there is room to put something down is known only for furniture that was tried before.
+        """
+        holds = self.routine.holds
+        if actor.person.held:
+            return []
+        if self.shows_phone:
+            return [("phone", "phone")]
+        if holds is not None:
+            known = [self._known.get((name, holds[1] == 2, 0), True) for name, _ in self._beside(actor)]
+            return [("put", self._kind(holds[0]))] if any(known) else []
+        found = [(name, self._found(actor, name)) for name in ("take", "lift")]
+        return [(name, self._kind(each[0])) for name, each in found if not isinstance(each, str)]
+
+    def _kind(self, number: int) -> str:
+        return self.things[number].name.partition("_")[0]
+
+    def _beside(self, actor: DrivenPerson) -> list[tuple[str, Array]]:
+        """Return the furniture with surfaces beside somebody, each with its bounds on the floor [2, 2]."""
+        return [top for top in self._tops if np.hypot(*(np.clip(actor.xz, *top[1]) - actor.xz)) < BESIDE_M]
 
     def follow(self, play: Any) -> None:
         """Move doors and things by what the hands have done in a step of a rollout, and report it as events."""
@@ -136,10 +169,9 @@ class DrivenHands(HandWork):
 
     def _spot(self, actor: DrivenPerson, number: int, *, wide: bool) -> Chore | None:
         """Return how to put down thing ``number`` on furniture beside somebody; None: there is no free spot."""
-        gaps = {name: float(np.hypot(*(np.clip(actor.xz, *box) - actor.xz))) for name, box in self._tops}
         others = np.concatenate([actor.objects.poses, np.delete(self.poses, number, 0)])[:, :3]
         best: Chore | None = None
-        for name in (name for name, gap in gaps.items() if gap < BESIDE_M):
+        for name, _ in self._beside(actor):
             for n in range(SPOTS):
                 plan = self._planned(name, wide, n)
                 if plan is None:

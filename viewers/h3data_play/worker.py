@@ -103,8 +103,9 @@ class Running:
     """CPU times of the latest steps, including packing and sending [s]."""
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
-    seen: dict[int, Any] = field(default_factory=dict)
     """Doors and drawers that each player last had to open first, by agent."""
+    chores: dict[int, Any] = field(default_factory=dict)
+    seen: dict[int, Any] = field(default_factory=dict)
     floors: dict[int, Any] = field(default_factory=dict)
     """Floor that was last sent to each player; None if the page's floor is unknown, and no entry if it never changed."""
     is_stuck: bool = False
@@ -390,6 +391,7 @@ class Worker:
         running.whole = True
         running.huds.pop(number, None)
         running.barriers.pop(number, None)
+        running.chores.pop(number, None)
         running.seen.pop(number, None)
         running.heard.pop(number, None)
         if number in running.floors:
@@ -515,6 +517,11 @@ class Worker:
             if running.seen.get(number) != seen:
                 running.seen[number] = seen
                 self.channel.send("told", running.key, [number, {"seen": seen}])
+            driver = game.drivers.get(number)
+            chores = [] if driver is None else driver.chores
+            if running.chores.get(number, []) != chores:
+                running.chores[number] = chores
+                self.channel.send("told", running.key, [number, {"chores": chores}])
             heard, running.heard[number] = (
                 running.heard.get(number, 0),
                 len(getattr(game.session.play.team, "messages", ())),
