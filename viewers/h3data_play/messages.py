@@ -202,6 +202,7 @@ Act = (
     | Close
     | Sit
     | Gesture
+    | Chore
     | Use
     | Bring
     | Say

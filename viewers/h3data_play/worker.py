@@ -35,6 +35,7 @@ from h3data_play.messages import (
     Act,
     Answer,
     Bring,
+    Chore,
     Close,
     Drop,
     GoTo,
@@ -489,7 +490,9 @@ class Worker:
         running.latest_s.append(time.process_time() - cpu)
 
     def _take(self, running: Running, number: int, message: Act, text: str, arrived: float) -> None:
-        if isinstance(message, Bring) or (isinstance(message, Pick | Place | Use | Open | Close) and message.lead):
+        if isinstance(message, Bring | Chore) or (
+            isinstance(message, Pick | Place | Use | Open | Close) and message.lead
+        ):
             now, before = len(running.game.session.recorder), running.planned.get(number, -PLAN_STEPS)
             if now - before < PLAN_STEPS:
                 return

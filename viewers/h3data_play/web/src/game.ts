@@ -2,7 +2,7 @@
 
 import { Vector3, WebGLRenderer } from "three";
 import {
-  busyHints, carries, choreHints, deed, heldBy, hints, holderText, situation, thumbText, useKey, type Barriers, type Chore, type Seen, type Situation,
+  busyHints, choreHints, deed, heldBy, hints, holderText, situation, thumbText, useKey, type Barriers, type Chore, type Seen, type Situation,
 } from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
@@ -399,9 +399,7 @@ export class Game {
     const useful = this.useful(now);
     const use: [string, string][] =
       useful < 0 || !useKey(device) ? [] : [[useKey(device), say(`use_${this.deeds.uses[useful]}`, { thing: this.manifest.objects[useful]!.label })]];
-    // who carries a tray takes nothing else
-    const full = carries(this.manifest, state, this.manifest.me);
-    const can = [...(full ? [] : hints(now, this.manifest, state, device, this.aim?.fits ?? null)), ...choreHints(this.chores, device), ...use];
+    const can = [...hints(now, this.manifest, state, device, this.aim?.fits ?? null), ...choreHints(this.chores, device), ...use];
     this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busyHints(device) : can, device);
     this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
       const who = holderText(this.manifest, state.things[k]!.held);

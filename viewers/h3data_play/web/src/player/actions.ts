@@ -101,10 +101,12 @@ export function situation(
   });
   let next = -1;
   let far = Infinity;
+  // who carries a tray takes and opens nothing else
+  const full = me >= 0 && carries(manifest, state, me);
   if (held >= 0) {
     const goal = manifest.goals[held];
     if (goal) far = Math.hypot(goal.position[0] - base.x, goal.position[2] - base.z);
-  } else {
+  } else if (!full) {
     state.things.forEach((thing, k) => {
       const at = known[k];
       const gap = at ? Math.hypot(at.x - base.x, at.z - base.z) : Infinity;
@@ -112,7 +114,7 @@ export function situation(
     });
   }
   const gaps = handles.map((handle) => Math.hypot(handle.x - base.x, handle.z - base.z));
-  const jointFar = Math.min(...gaps);
+  const jointFar = full ? Infinity : Math.min(...gaps);
   const [own, ofGoal] = barriers[next] ?? [-1, -1];
   const first = ofGoal >= 0 ? ofGoal : own;
   const robot = manifest.agents.findIndex((agent, k) => {
