@@ -9,7 +9,7 @@ at the handle, thing or tray.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures, lead_hands
 from h3data.bodies.people.reach import Hand, grasp_point, hand_points, reach_poses, reacher
+from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError, SceneError
 from h3data.geometry import (
     IDENTITY_POSE,
@@ -28,6 +29,8 @@ from h3data.geometry import (
     minimum_jerk,
     pose_inverse,
     pose_to_matrix,
+    quat_from_axis_angle,
+    quat_multiply,
     quat_nlerp,
     quat_rotate,
     transform_points,
@@ -96,9 +99,19 @@ ASIDE_M = 0.2
 """Largest sideways distance of the centre of a thing that people lift or put down [m]."""
 SETTLES_S = 4.0
 """Time that people have to step to the place and to come to rest there [s]."""
+COVER_M, PAGES_M = np.array([0.002, 0.1, 0.072]), np.array([0.005, 0.095, 0.067])
+"""Half sizes of a half of the cover of an open book, and of the pages in it [m]."""
+BOOK = (("book_cover", -1.0), ("book_cover", 1.0), ("book_pages", -1.0), ("book_pages", 1.0))
+"""Parts of an open book and their sides: left -1, right 1."""
+FOLD_RAD, OVER_PALMS_M, READS_S = 0.3, np.array([0.02, 0.06, 0.0]), 20 * STEP_S
+"""Angle of each half of an open book, position of its middle relative to that of the palms [m], and time after which a
+person who has sat down has the book in the hands, as before they get up [s].
+"""
 LOOKS: dict[str, tuple[AssetRef, Array]] = {
     "tray": (AssetRef(name="tray", uri="primitive:cubeSolid", color=(146, 104, 66)), TRAY_M),
     "carton": (AssetRef(name="carton", uri="primitive:cubeSolid", color=(214, 226, 236)), ITEM_M),
+    "book_cover": (AssetRef(name="book_cover", uri="primitive:cubeSolid", color=(122, 42, 48)), COVER_M),
+    "book_pages": (AssetRef(name="book_pages", uri="primitive:cubeSolid", color=(240, 236, 224)), PAGES_M),
     "phone": (AssetRef(name="phone", uri="primitive:cubeSolid", color=(34, 36, 42)), PHONE_M),
 }
 """Appearance and half sizes [m] of the things that people handle."""
@@ -181,8 +194,11 @@ class ChoreRoutine(Routine):
         things, held = list[Body](), ""
         for k, stop in enumerate(self.stops):
             if stop.activity not in CHORES or stop.activity in UNPLANNED:
-                if stop.activity == "phone" and not any(thing.name == "phone" for thing in things):
+                named = {thing.name for thing in things}
+                if stop.activity == "phone" and "phone" not in named:
                     things.append(_body("phone", np.full(7, np.nan)))
+                elif stop.activity == "read" and "book_cover_0" not in named:
+                    things += [_body(kind, np.full(7, np.nan), n) for n, (kind, _) in enumerate(BOOK)]
                 continue
             try:
                 plan = planned(scene, free, body, stop, start, number, tray=held == "tray")
@@ -236,6 +252,10 @@ class ChoreRoutine(Routine):
             found, refused = super().errand_at(k, xz, taken)
             if isinstance(plan, InputError):
                 return found, (stop.place, f"{plan.code}: {plan}")
+            if found is not None and stop.activity == "read" and found[1].station is not None:
+                station = found[1].station
+                station = station._replace(motion=partial(self._read, station.motion, station.height_m))
+                return (found[0], found[1]._replace(station=station)), refused
             if found is None or stop.activity not in UNPLANNED or found[1].look is None:
                 return found, refused
             (x, z), look = found[0].tolist(), found[1].look
@@ -323,6 +343,26 @@ class ChoreRoutine(Routine):
             # 0.95: share from which on the hand is nearly there
             work.held[number] = shown if share > 0.95 else np.full(7, np.nan)
             yield next(way, (place, 0.0))
+
+    def _read(self, sits: Callable[[Array, float], Motion], height_m: float, here: Array, seconds: float) -> Motion:
+        """Yield the motion of somebody who holds a book while they sit on a seat of a height [m]."""
+        body, work, way = self._body, self._work, list(sits(here, seconds))
+        quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
+        take_seats(body, quats, pelvis, [(height_m, 1.0)])
+        # as replays add it by the name of the activity
+        add_gestures(body, quats, pelvis, [[NAMES.index("read"), 0.0, 1.0]])
+        frames = body.joint_matrices(IDENTITY_POSE[None], quats, pelvis)
+        middle = np.mean([hand_points(frames, body, hand)[0] for hand in BOTH], 0) + OVER_PALMS_M
+        first = next(n for n, thing in enumerate(work.things) if thing.name == "book_cover_0")
+        book = _open_book(middle, frames[0, JOINT_INDEX["head"], :3, 3])
+        sat = [n for n, (_, share) in enumerate(way) if share >= 1]
+        margin = round(READS_S / STEP_S)
+        for n, moment in enumerate(way):
+            shown = sat[0] + margin <= n <= sat[-1] - margin
+            work.held.update(enumerate(book if shown else np.full_like(book, np.nan), first))
+            yield moment
+        for k in range(len(book)):
+            del work.held[first + k]
 
     def _knock(self, place: Array, gap: float, here: Array, seconds: float) -> Motion:
         """Yield the motion of somebody who knocks at what is ``gap`` [m] ahead of a place [3]."""
@@ -523,6 +563,19 @@ def _body(kind: str, pose: Array, count: int | None = None) -> Body:
     name = kind if count is None else f"{kind}_{count}"
     scale = LOOKS[kind][1].astype(np.float32)
     return Body(name=name, asset=kind, pose=pose.astype(np.float32), scale=scale, moving=0)
+
+
+def _open_book(middle: Array, eyes: Array) -> Array:
+    """Return the poses (pose7) of the parts `BOOK` of a book whose middle is at a point [3] and that faces the eyes [3]."""
+    away = middle - eyes
+    lean = quat_from_axis_angle([0.0, 0.0, 1.0], np.arctan2(away[1], away[0]))
+    poses = []
+    for kind, side in BOOK:
+        fold = quat_multiply(lean, quat_from_axis_angle([0.0, 1.0, 0.0], -side * FOLD_RAD))
+        # pages lie on the cover, on the side of the reader
+        inwards = 0.0 if kind == "book_cover" else -COVER_M[0] - PAGES_M[0]
+        poses.append(np.append(middle + quat_rotate(fold, np.array([inwards, 0.0, side * COVER_M[2]])), fold))
+    return np.array(poses)
 
 
 def _led_to_tray(middle: Array, spot: Array, lean: Array, farther_m: float) -> Array:
