@@ -133,9 +133,10 @@ class WorldRollout:
         has_skills = task.control.has_skills
         first = len(episode.moving) if has_skills else 0
         if getattr(episode.spec, "chores", False):
-            make = routines().get("chores")
             policies = [
-                one._replace(hands=make(episode, k).hands) if one.takes_commands and one.kind == "human" else one
+                one._replace(hands=routines().get("chores")(episode, k).hands)
+                if one.takes_commands and one.kind == "human"
+                else one
                 for k, one in enumerate(policies)
             ]
         things = [

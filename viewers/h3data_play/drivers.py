@@ -18,6 +18,7 @@ from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat, quat_from_matrix
 from h3data.scene import FreeSpace
+from h3data.scene.seats import seats_of
 from h3data_play.guide import FLOOR_SNAP_M, Guide
 from h3data_play.messages import (
     Act,
@@ -41,7 +42,6 @@ from h3data_play.messages import (
 )
 from h3data_play.wire import GESTURES as CAN_GESTURE
 from h3data_play.wire import LIES, SEATED, SITS
-from h3data.scene.seats import seats_of
 from sim_kinematic.agents.driven.commands import Chore as ChoreSkill
 from sim_kinematic.agents.driven.commands import Drop as DropSkill
 from sim_kinematic.agents.driven.commands import HandOver, HandTarget, PersonCommand
@@ -386,7 +386,9 @@ class PersonDriver(SkillDriver):
         self._seats, self._sought, self._place = 0, -OFFER_STEPS, b""
         """Flags of the seats that are near, and the step and the places of people for which they were sought."""
         self._chores: list[dict[str, str]] = []
-        self._new_seats = [(seat.edge[[0, 2]], lies) for seat in seats_of(session.episode.scene) for lies in (False, True)]
+        self._new_seats = [
+            (seat.edge[[0, 2]], lies) for seat in seats_of(session.episode.scene) for lies in (False, True)
+        ]
         """Edges (x, z) of the seats that have not been searched, and whether for room to lie there."""
 
     def follow(self, message: Act) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain, repeat
@@ -105,12 +106,10 @@ class DrivenPerson(PersonActor):
     def infeasible(self, action: Action) -> str:
         """Return the reason why an action is impossible now, empty if it is possible; direct control always is."""
         k, skill = action.target, action.skill
-        if skill == CHORE or self.chores is not None:
-            why = "no_chore" if self.chores is None else self.chores.infeasible(self, action)
-            if why or skill == CHORE:
-                return why
-        if skill == CONTROL:
-            return ""
+        if self.chores is not None and (why := self.chores.infeasible(self, action)):
+            return why
+        if skill in (CONTROL, CHORE):
+            return "no_chore" if skill == CHORE and self.chores is None else ""
         if skill == SIT:
             return "hand_full" if self.person.held else "" if self._nearest_seat(action) is not None else "no_seat"
         # a place without a point of its own is one at the task's goal, as of other people
@@ -203,14 +202,14 @@ class DrivenPerson(PersonActor):
             self._drive(STAND)
             yield
         self._drives = False
-        if action.skill == "drop":
-            return (yield from self._drop(action.target))
-        if action.skill == SIT:
-            return (yield from self._sit(action))
-        if action.skill == CHORE:
-            return (yield from self.chores.start(self, action))
-        if action.skill == "hand_over":
-            return (yield from self._give(action))
+        own: dict[str, Callable[[], Skill]] = {
+            "drop": lambda: self._drop(action.target),
+            SIT: lambda: self._sit(action),
+            "hand_over": lambda: self._give(action),
+            CHORE: lambda: self.chores.start(self, action),
+        }
+        if action.skill in own:
+            return (yield from own[action.skill]())
         if action.skill == "place" and action.command:
             return (yield from self._handle(action.target, _point(action)))
         return (yield from super().start(action))
@@ -248,9 +247,7 @@ class DrivenPerson(PersonActor):
         self.seat, way = place, lying_way(place)
         try:
             return (
-                yield from self.perform(
-                    chain(take_seat(np.append(self.xz, self.heading), place), way, repeat(way[-1]))
-                )
+                yield from self.perform(chain(take_seat(np.append(self.xz, self.heading), place), way, repeat(way[-1])))
             )
         finally:
             # also where another command closes this generator: getting up begins from wherever they are

@@ -159,7 +159,9 @@ class SkillController:
 
     def _write(self, step: int, outcome: str, reason: str) -> None:
         """Report the action up to ``step``."""
-        names = {**dict.fromkeys(OPENING_SKILLS, self.joints), SEARCH: self.surfaces, CHORE: CHORES}.get(self.action.skill, self.names)
+        names = {**dict.fromkeys(OPENING_SKILLS, self.joints), SEARCH: self.surfaces, CHORE: CHORES}.get(
+            self.action.skill, self.names
+        )
         self.spans.append(
             SkillSpan(
                 agent=self.number,

@@ -188,8 +188,16 @@ class Household(Team):
         room = reach_room(world.scene, body, world.free.floor_y)
         sizes = grip_radii(world.scene, self.objects.names)
         hands = works(self.play.policies[number])
-        lead = None if hands is None else hands.lead
-        person = Person(body, base, objects, spec=spec.human, free=world.free, sizes=sizes, state=own, lead=lead)
+        person = Person(
+            body,
+            base,
+            objects,
+            spec=spec.human,
+            free=world.free,
+            sizes=sizes,
+            state=own,
+            lead=None if hands is None else hands.lead,
+        )
         if spec.oracle is not None:
             errands = errands_of(world, number, self.parts)
             return OraclePerson(person, world.free, spec.human, self.objects, number, errands=errands)
