@@ -214,8 +214,7 @@ class ChoreRoutine(Routine):
             self.own[k] = len(things)
             things.append(_body(held, np.concatenate([plan.spot, plan.root[3:]]), count))
         looks = dict.fromkeys(thing.asset for thing in things)
-        self._work = HandWork(tuple(things), tuple(LOOKS[name][0] for name in looks))
-        self.use(self._work)
+        self.use(HandWork(tuple(things), tuple(LOOKS[name][0] for name in looks)))
         scale = reacher(body, "right").body.scale
         self._carry = np.stack([CARRIED * scale * (1, 1, -1), CARRIED * scale])
         self._tray_at = _carried_tray(body, scale)
@@ -226,7 +225,8 @@ class ChoreRoutine(Routine):
 
     def use(self, hands: HandWork) -> None:
         """Change the state of other hands, which have the same things, from now on."""
-        self.hands = self._work = hands
+        self.hands: HandWork | None = hands
+        self._work = hands
 
     def errand_at(
         self, k: int, xz: NDArray[np.float64], taken: Sequence[Array]

@@ -172,7 +172,7 @@ class Person:
         free: FreeSpace | None = None,
         sizes: Mapping[str, float] | None = None,
         state: HumanState | None = None,
-        lead: Array | None = None,
+        led: Array | None = None,
     ) -> None:
         """Put a person at a pose, standing still.
 
@@ -184,10 +184,10 @@ class Person:
             free: free floor, whose obstacles cause the arms to fold in by the rules ``spec.arms``.
             sizes: radii of the grips of objects by name [m]; the default is `GRIP_M`.
             state: the person's part of the state of one world, whose place and heading follow the agent root.
-            lead: places to which hands that handle things are led (`h3data.bodies.people.gestures.lead_hands`) [4, 4].
+            led: places to which hands that handle things are led (`h3data.bodies.people.gestures.lead_hands`) [4, 4].
         """
         self.state = HumanState.zeros(1) if state is None else state
-        self.body, self.spec, self.free, self.lead = body, spec, free, lead
+        self.body, self.spec, self.free, self.led = body, spec, free, led
         self.spot: Array = self.state.xz[0]
         """Position on the floor [2] [m], a view."""
         # place and heading are the state's own arrays, so they follow it without copies
@@ -556,9 +556,9 @@ class Person:
 
         The feet stay where walking has put them.
         """
-        if self.lead is not None and self.lead.any():
+        if self.led is not None and self.led.any():
             quats, pelvis = quats.copy(), pelvis.copy()
-            lead_hands(self.body, quats[None], pelvis[None], self.lead[None])
+            lead_hands(self.body, quats[None], pelvis[None], self.led[None])
         fade = self.transition
         if fade.kind != kind:
             fade = Transition(kind, self.bare, self.pelvis, 1.0)

@@ -160,6 +160,7 @@ def test_a_fridge_a_tray_and_a_phone_are_used_by_fingers_and_keys(tmp_path: Path
 
     plan: dict[str, Any] = {"scenes": "medium-open:3", "partner": "still", "seed": 3}
     game = LiveGame(EpisodeFactory(PlayPlan(app="rearrange", out=str(tmp_path / "plan"), **plan)), 0)
+    hands: Any
     (hands,) = [policy.hands for policy in game.session.play.policies if policy.hands is not None]
     places = ",".join(f"{x},{z}" for x, z in (plan.root[[0, 2]] for plan in hands.plans.values()))
     game.abort()

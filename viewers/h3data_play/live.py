@@ -394,6 +394,7 @@ class LiveGame:
     def carried(self) -> dict[int, int]:
         """Return the agents that hold things of chores in their hands, by the number of the thing among what moves."""
         found, first = dict[int, int](), len(getattr(self.session.play.team, "starts", ()))
+        hands: Any
         for hands in filter(None, (policy.hands for policy in self.session.play.policies)):
             found |= {first + k: hands.number for k in hands.held}
             first += len(hands.things)

@@ -196,7 +196,7 @@ class Household(Team):
             free=world.free,
             sizes=sizes,
             state=own,
-            lead=None if hands is None else hands.lead,
+            led=None if hands is None else hands.lead,
         )
         if spec.oracle is not None:
             errands = errands_of(world, number, self.parts)
