@@ -104,7 +104,7 @@ class Seats:
         self._seats = seats_of(scene)
         self._before: dict[str, Array | None] = {}
         self._lying: dict[str, bool] = {}
-        """Whether the body has room to lie on a seat."""
+        """Room to lie on a seat, by its name: True if the body has it."""
 
     def at(self, thing: str) -> list[Seat]:
         """Return the seats of a thing in the home, or, if it has none, the seats beside it, nearest first."""

@@ -24,7 +24,7 @@ from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
 from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_pipelines.validation.recordings import validate_recording
 from h3data_play.drivers import OFFER_STEPS, PersonDriver
-from h3data_play.messages import Act, Chore, Gesture, Move, Pick, Sit, decode
+from h3data_play.messages import Chore, Gesture, Move, Pick, Sit, decode
 from h3data_play.wire import StatePacker
 from sim_kinematic.agents.driven.commands import Chore as ChoreCommand
 from sim_kinematic.agents.skills import sentence
