@@ -124,12 +124,12 @@ class RearrangeSpec:
     the agent itself has seen (`sim_kinematic.sensing.sight`)."""
     parts: int = field(default=0, repr=False)
     """Number of doors and drawers that agents may choose to open by number, which are those of `Rearrange.parts_of`."""
-    chores: bool = field(default=False, repr=False)
-    """True if people who are driven from outside have a phone and, where the home allows it, a tray and something in the
-    fridge (`sim_kinematic.agents.skills.CHORES`)."""
     skills: str = field(default="", repr=False)
     """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Other skills are
     scripted and use the whole state."""
+    chores: bool = field(default=False, repr=False)
+    """True if people who are driven from outside have a phone and, where the home allows it, a tray and something in the
+    fridge (`sim_kinematic.agents.skills.CHORES`)."""
 
     def __repr__(self) -> str:
         # uids of episodes are made of it: those from before there were oracle skills stay as they were
