@@ -169,7 +169,10 @@ class DrivenHands(HandWork):
 
     def _spot(self, actor: DrivenPerson, number: int, *, wide: bool) -> Chore | None:
         """Return how to put down thing ``number`` on furniture beside somebody; None: there is no free spot."""
-        others = np.concatenate([actor.objects.poses, np.delete(self.poses, number, 0)])[:, :3]
+        people = () if actor.company is None else actor.company.actors
+        hands = [each.chores for each in people if isinstance(each, DrivenPerson) and each.chores not in (None, self)]
+        poses = [actor.objects.poses, np.delete(self.poses, number, 0), *(each.poses for each in hands)]
+        others = np.concatenate(poses)[:, :3]
         best: Chore | None = None
         for name, _ in self._beside(actor):
             for n in range(SPOTS):
