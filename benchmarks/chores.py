@@ -124,12 +124,7 @@ def figures_of(recording: Recording) -> dict[str, float]:
     out["joint_deg"] = float(np.degrees(2 * np.arccos(dots)).max())
     done = [event.kind for event in recording.events if event.kind in ("takes", "puts")]
     out["undone"] = float(4 - min(len(done), 4))
-    doors = {joints.names[k] for k in np.flatnonzero(np.ptp(positions, axis=0) > 0)}
-    kept = tuple(each for each in replay.scene.instances if each.name not in doors)
-    still = replace(replay.scene, instances=kept, articulations=())
-    columns = {name: values for name, values in recording.columns.items() if name != JOINTS}
-    alone = replace(recording, columns=columns, attachments={"scene.glb": scene_bytes(still)})
-    (found,) = penetrations(alone, every=3)
+    (found,) = penetrations(without_doors(recording), every=3)
     busy = np.zeros(len(recording), np.bool_)
     for begin, end in spans:
         busy[begin + 30 : end] = True
@@ -138,6 +133,19 @@ def figures_of(recording: Recording) -> dict[str, float]:
     row, part = np.unravel_index(depth.argmax(), depth.shape)
     print(f"  deepest: {found.parts[part]} in {found.thing[row, part] or 'nothing'} at step {found.steps[row]}")
     return out
+
+
+def without_doors(recording: Recording) -> Recording:
+    """Return a recording whose home lacks the doors that move in it, as `penetrations` has them where they are closed."""
+    scene = Replay(recording).scene
+    assert scene is not None
+    moved = np.flatnonzero(np.ptp(recording.columns[JOINTS].astype(np.float64), axis=0) > 0)
+    doors = {joints_of(scene).names[k] for k in moved}
+    still = replace(
+        scene, instances=tuple(each for each in scene.instances if each.name not in doors), articulations=()
+    )
+    columns = {name: values for name, values in recording.columns.items() if name != JOINTS}
+    return replace(recording, columns=columns, attachments={"scene.glb": scene_bytes(still)})
 
 
 def _deepest(skin: Array, back: Array, box: Array) -> float:

@@ -2,7 +2,7 @@
 
 ``penetration.film.above_2cm``, ``penetration.film.worst``
     Share of steps in which any part of anybody is deeper than 2 cm in the home, and the greatest depth, as in
-    `benchmarks.penetration`.
+    `benchmarks.penetration`, without the doors that people move (see `benchmarks.chores`).
 ``motion.film.pops``
     Steps in which a joint of a person pops, as in `benchmarks.motion`.
 ``people.film.contacts``, ``people.film.gridlocks``
@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from benchmarks.chores import without_doors
 from benchmarks.motion import motions
 from benchmarks.people import Walks, describe
 from h3data.recording import Recording
@@ -42,7 +43,7 @@ def script() -> Any:
 
 def figures_of(recording: Recording, scene: str) -> dict[str, tuple[float, str]]:
     """Return the figures of a recording of people in a home, by name, with their units."""
-    depth, rules = unintended_depth(penetrations(recording)), SocialNavSpec()
+    depth, rules = unintended_depth(penetrations(without_doors(recording))), SocialNavSpec()
     source = named_scenes(scene)[0].source
     free = open_free_space(source, rules.agent_radius_m, rules.agent_height_m)
     walks = Walks.of(recording, open_scene(source), free)

@@ -1,4 +1,4 @@
-"""Film of a minute of a morning: three people and a robot in a home; they cook, fetch things, and sit down to read.
+"""Film of a minute of a morning: three people and a robot in a home; they cook, take things out of the fridge, and read.
 
 python examples/morning.py out/morning           # episode.mcap, morning.mp4, morning.webp, sheets of 12 frames
 (cd examples; h3data replay ../out/morning/episode.mcap --verify --trust morning)  # simulates it again, bit for bit
@@ -18,16 +18,17 @@ from h3data.recording import Recording, write_mcap
 from h3data.render.image_files import write_png
 from h3data.render.video import VideoWriter
 from h3data.replay import Replay, camera_track
-from h3data_crowds.routines import Routine, Stop
+from h3data_crowds.chores import ChoreRoutine
+from h3data_crowds.routines import Stop
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 
-SCENE, SEED, SECONDS, FPS = "medium2:1", 7, 60, 30
+SCENE, SEED, SECONDS, FPS = "medium2-open:1", 10, 60, 30
 ROSTER = ("robot", "female_1", "male_2", "female_3")
 SIZE = 640, 360
 ROUTINES = {
     1: (Stop("kitchen_counter_0", "cook", 9.0), Stop("sofa_0", "read", 12.0), Stop("window_2", "look_out", 6.0)),
-    2: (Stop("fridge_0", "fetch", 5.0), Stop("sofa_0", "read", 16.0), Stop("kitchen_counter_0", "cook", 9.0)),
-    3: (Stop("sofa_0", "read", 12.0), Stop("fridge_0", "fetch", 5.0), Stop("window_2", "look_out", 6.0)),
+    2: (Stop("fridge_0", "take", 12.0), Stop("dining_table_0", "put", 8.5), Stop("sofa_0", "read", 14.0)),
+    3: (Stop("sofa_0", "read", 12.0), Stop("fridge_0", "take", 12.0), Stop("kitchen_counter_0", "put", 8.5)),
 }
 """Places, activities and seconds of each person."""
 CAMERAS = {
@@ -52,8 +53,8 @@ SHOTS = (
 
 def resident(task: Any, episode: Any, number: int) -> CrowdPolicy:
     """Return the policy of a person who follows their routine."""
-    own = episode.roster[number].body
-    routine = Routine(episode.scene, episode.free, ROUTINES[number], own)
+    own, start = episode.roster[number].body, episode.starts[number, :2]
+    routine = ChoreRoutine(episode.scene, episode.free, ROUTINES[number], own, start=start, number=number)
     return CrowdPolicy("orca", episode.free, episode.seed, number, episode.spec.human, routine=routine)
 
 

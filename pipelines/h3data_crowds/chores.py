@@ -9,7 +9,7 @@ at the handle, thing or tray.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures, lead_hands
 from h3data.bodies.people.reach import Hand, grasp_point, hand_points, reach_poses, reacher
+from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError, SceneError
 from h3data.geometry import (
     IDENTITY_POSE,
@@ -28,6 +29,8 @@ from h3data.geometry import (
     minimum_jerk,
     pose_inverse,
     pose_to_matrix,
+    quat_from_axis_angle,
+    quat_multiply,
     quat_nlerp,
     quat_rotate,
     transform_points,
@@ -96,9 +99,19 @@ ASIDE_M = 0.2
 """Largest sideways distance of the centre of a thing that people lift or put down [m]."""
 SETTLES_S = 4.0
 """Time that people have to step to the place and to come to rest there [s]."""
+COVER_M, PAGES_M = np.array([0.002, 0.1, 0.072]), np.array([0.005, 0.095, 0.067])
+"""Half sizes of a half of the cover of an open book, and of the pages in it [m]."""
+BOOK = (("book_cover", -1.0), ("book_cover", 1.0), ("book_pages", -1.0), ("book_pages", 1.0))
+"""Parts of an open book and their sides: left -1, right 1."""
+FOLD_RAD, OVER_PALMS_M, READS_S = 0.3, np.array([0.02, 0.06, 0.0]), 20 * STEP_S
+"""Angle of each half of an open book, position of its middle relative to that of the palms [m], and time after which a
+person who has sat down has the book in the hands, as before they get up [s].
+"""
 LOOKS: dict[str, tuple[AssetRef, Array]] = {
     "tray": (AssetRef(name="tray", uri="primitive:cubeSolid", color=(146, 104, 66)), TRAY_M),
     "carton": (AssetRef(name="carton", uri="primitive:cubeSolid", color=(214, 226, 236)), ITEM_M),
+    "book_cover": (AssetRef(name="book_cover", uri="primitive:cubeSolid", color=(122, 42, 48)), COVER_M),
+    "book_pages": (AssetRef(name="book_pages", uri="primitive:cubeSolid", color=(240, 236, 224)), PAGES_M),
     "phone": (AssetRef(name="phone", uri="primitive:cubeSolid", color=(34, 36, 42)), PHONE_M),
 }
 """Appearance and half sizes [m] of the things that people handle."""
@@ -177,35 +190,43 @@ class ChoreRoutine(Routine):
             number: Number of the agent; people with different numbers put their things at different spots.
         """
         super().__init__(scene, free, stops, body)
-        self._body, self._plans, self._own = body, dict[int, Chore | InputError](), dict[int, int]()
+        self._body, self.plans, self.own = body, dict[int, Chore | InputError](), dict[int, int]()
         things, held = list[Body](), ""
         for k, stop in enumerate(self.stops):
             if stop.activity not in CHORES or stop.activity in UNPLANNED:
-                if stop.activity == "phone" and not any(thing.name == "phone" for thing in things):
+                named = {thing.name for thing in things}
+                if stop.activity == "phone" and "phone" not in named:
                     things.append(_body("phone", np.full(7, np.nan)))
+                elif stop.activity == "read" and "book_cover_0" not in named:
+                    things += [_body(kind, np.full(7, np.nan), n) for n, (kind, _) in enumerate(BOOK)]
                 continue
             try:
-                plan = _planned(scene, free, body, stop, start, number, tray=held == "tray")
+                plan = planned(scene, free, body, stop, start, number, tray=held == "tray")
             except InputError as fault:
-                self._plans[k] = fault
+                self.plans[k] = fault
                 continue
-            self._plans[k] = plan
+            self.plans[k] = plan
             if stop.activity == "put":
                 held = ""
                 continue
             held = {"take": "carton", "lift": "tray"}[stop.activity]
             count = sum(thing.name.startswith(held) for thing in things)
-            self._own[k] = len(things)
+            self.own[k] = len(things)
             things.append(_body(held, np.concatenate([plan.spot, plan.root[3:]]), count))
         looks = dict.fromkeys(thing.asset for thing in things)
-        self.hands = self._work = HandWork(tuple(things), tuple(LOOKS[name][0] for name in looks))
+        self.use(HandWork(tuple(things), tuple(LOOKS[name][0] for name in looks)))
         scale = reacher(body, "right").body.scale
         self._carry = np.stack([CARRIED * scale * (1, 1, -1), CARRIED * scale])
         self._tray_at = _carried_tray(body, scale)
-        self._holds: tuple[int, int] | None = None
+        self.holds: tuple[int, int] | None = None
         """Number of the thing in the hands, and the hand: left 0, right 1, both 2."""
         self._gone: set[int] = set()
         """Numbers of the things that have been taken."""
+
+    def use(self, hands: HandWork) -> None:
+        """Change the state of other hands, which have the same things, from now on."""
+        self.hands: HandWork | None = hands
+        self._work = hands
 
     def errand_at(
         self, k: int, xz: NDArray[np.float64], taken: Sequence[Array]
@@ -215,8 +236,8 @@ class ChoreRoutine(Routine):
         Chores that are impossible now are skipped, e.g. because the hands are full or empty, or the thing has been
         taken.
         """
-        stop, plan = self.stops[k], self._plans.get(k)
-        free_hands = self._holds is None
+        stop, plan = self.stops[k], self.plans.get(k)
+        free_hands = self.holds is None
         # nobody who holds something sits down or takes out a phone: they stand
         if plan is None and not free_hands and stop.activity != "put":
             found = place_beside(self._scene, self._free, stop.place, xz)
@@ -231,6 +252,10 @@ class ChoreRoutine(Routine):
             found, refused = super().errand_at(k, xz, taken)
             if isinstance(plan, InputError):
                 return found, (stop.place, f"{plan.code}: {plan}")
+            if found is not None and stop.activity == "read" and found[1].station is not None:
+                station = found[1].station
+                station = station._replace(motion=partial(self._read, station.motion, station.height_m))
+                return (found[0], found[1]._replace(station=station)), refused
             if found is None or stop.activity not in UNPLANNED or found[1].look is None:
                 return found, refused
             (x, z), look = found[0].tolist(), found[1].look
@@ -245,9 +270,9 @@ class ChoreRoutine(Routine):
             station = Station(stop.place, 0.0, np.append(place, PERSON_M), partial(self._look_at_phone, place, number))
             return (found[0], found[1]._replace(look=None, station=station)), refused
         if stop.activity == "put":
-            fits = self._holds is not None and (self._holds[1] == 2) == plan.wide
+            fits = self.holds is not None and (self.holds[1] == 2) == plan.wide
         else:
-            fits = free_hands and self._own[k] not in self._gone
+            fits = free_hands and self.own[k] not in self._gone
         place = np.append(plan.root[[0, 2]], heading_from_quat(plan.root[3:]))
         if not fits or any(np.hypot(*(place[:2] - other[:2])) < PERSON_M for other in taken):
             return None, ("", "")
@@ -258,13 +283,23 @@ class ChoreRoutine(Routine):
     def _do(self, place: Array, k: int, plan: Chore, here: Array, seconds: float) -> Motion:
         """Yield the motion of a person who steps to a place [3] and does the chore of stop ``k`` there."""
         yield from steps_between(here, place)
+        yield from self.handle(plan, self.own[k] if self.holds is None else self.holds[0], place, seconds)
+
+    def handle(self, plan: Chore, number: int, place: Array, seconds: float) -> Motion:
+        """Yield the motion of somebody who does a chore with thing ``number`` where they have come to stand, a place [3].
+
+        Args:
+            plan: The chore, which was planned for this place.
+            number: Number of the thing in `HandWork.things`.
+            place: Place ``(x, z, heading)`` of the person [3].
+            seconds: Time for the chore, including `SETTLES_S` for getting there [s].
+        """
         for _ in range(round(SETTLE_S / STEP_S)):
             yield place, 0.0
         work, t = self._work, np.arange(round((seconds - SETTLES_S) / STEP_S)) * STEP_S
         puts = plan.name == "put"
-        moves = self._put(plan, t) if puts else self._lift(plan, t) if plan.name == "lift" else self._take(plan, t)
-        assert not puts or self._holds is not None
-        number = self._own[k] if self._holds is None else self._holds[0]
+        moves = self._put(plan, t) if puts else self._take_up(plan, t) if plan.name == "lift" else self._take(plan, t)
+        assert not puts or self.holds is not None
         for n, lead in enumerate(moves.lead):
             work.lead[:] = lead
             if moves.joint >= 0:
@@ -272,7 +307,7 @@ class ChoreRoutine(Routine):
             if (n <= moves.moment) if puts else (n >= moves.moment):
                 work.held[number] = np.append(moves.places[n], IDENTITY_POSE[3:])
             if n == moves.moment:
-                self._holds = None if puts else (number, moves.hand)
+                self.holds = None if puts else (number, moves.hand)
                 self._gone.add(number)
                 work.events.append(("puts" if puts else "takes", work.things[number].name, plan.place))
             yield place, 0.0
@@ -281,6 +316,20 @@ class ChoreRoutine(Routine):
 
     def _look_at_phone(self, place: Array, number: int, here: Array, seconds: float) -> Motion:
         """Yield the motion of a person who looks at a phone while they turn to a place [3] and stand there."""
+        steps = max(round(seconds / STEP_S), 90)
+        share = np.minimum(_ramp(np.arange(steps) * STEP_S, 0.0, 0.8), _ramp(np.arange(steps)[::-1] * STEP_S, 0.0, 0.8))
+        yield from self.show_phone(number, share, place, steps_between(here, place))
+        del self._work.held[number]
+
+    def show_phone(self, number: int, shares: Array, place: Array, way: Motion) -> Motion:
+        """Yield the motion of somebody at the end of a way, at a place [3], whose right hand is led to a phone.
+
+        Args:
+            number: Number of the phone in `HandWork.things`.
+            shares: Shares [T], 0 to 1, by which the hand is led to where a phone is looked at.
+            place: Place ``(x, z, heading)`` [3].
+            way: Motion of the feet meanwhile, up to the place.
+        """
         body, work = self._body, self._work
         quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
         # the gesture, which replays add by the name of the activity, lowers the head; the palm is led to where it is then
@@ -289,13 +338,31 @@ class ChoreRoutine(Routine):
         work.lead[1, :3] = palm
         # 0.3: half of the angle by which the phone leans back
         shown = np.array([*np.add(palm, (0.0, 0.03, 0.0)), 0.0, 0.0, -np.sin(0.3), np.cos(0.3)])
-        steps, way = max(round(seconds / STEP_S), 90), steps_between(here, place)
-        share = np.minimum(_ramp(np.arange(steps) * STEP_S, 0.0, 0.8), _ramp(np.arange(steps)[::-1] * STEP_S, 0.0, 0.8))
-        for n in range(steps):
-            work.lead[1, 3] = share[n]
-            work.held[number] = shown if 20 <= n < steps - 20 else np.full(7, np.nan)
+        for share in shares:
+            work.lead[1, 3] = share
+            # 0.95: share from which on the hand is nearly there
+            work.held[number] = shown if share > 0.95 else np.full(7, np.nan)
             yield next(way, (place, 0.0))
-        del work.held[number]
+
+    def _read(self, sits: Callable[[Array, float], Motion], height_m: float, here: Array, seconds: float) -> Motion:
+        """Yield the motion of somebody who holds a book while they sit on a seat of a height [m]."""
+        body, work, way = self._body, self._work, list(sits(here, seconds))
+        quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
+        take_seats(body, quats, pelvis, [(height_m, 1.0)])
+        # as replays add it by the name of the activity
+        add_gestures(body, quats, pelvis, [[NAMES.index("read"), 0.0, 1.0]])
+        frames = body.joint_matrices(IDENTITY_POSE[None], quats, pelvis)
+        middle = np.mean([hand_points(frames, body, hand)[0] for hand in BOTH], 0) + OVER_PALMS_M
+        first = next(n for n, thing in enumerate(work.things) if thing.name == "book_cover_0")
+        book = _open_book(middle, frames[0, JOINT_INDEX["head"], :3, 3])
+        sat = [n for n, (_, share) in enumerate(way) if share >= 1]
+        margin = round(READS_S / STEP_S)
+        for n, moment in enumerate(way):
+            shown = sat[0] + margin <= n <= sat[-1] - margin
+            work.held.update(enumerate(book if shown else np.full_like(book, np.nan), first))
+            yield moment
+        for k in range(len(book)):
+            del work.held[first + k]
 
     def _knock(self, place: Array, gap: float, here: Array, seconds: float) -> Motion:
         """Yield the motion of a person who knocks at a surface ``gap`` [m] ahead of a place [3]."""
@@ -344,8 +411,11 @@ class ChoreRoutine(Routine):
         positions = joint.closed + np.sign(joint.opened - joint.closed) * angle
         return Movement(lead, lead[:, h, :3], int(np.searchsorted(t, 3.6)), h, plan.joint, positions)
 
-    def _lift(self, plan: Chore, t: Array) -> Movement:
-        """Take up a tray with both hands."""
+    def _take_up(self, plan: Chore, t: Array) -> Movement:
+        """Take up a tray with both hands, or a smaller thing as it is put down, played backwards."""
+        if not plan.wide:
+            down = self._put(plan, t)
+            return down._replace(lead=down.lead[::-1], places=down.places[::-1], moment=len(t) - 1 - down.moment)
         up, spot = _ramp(t, 1.7, 2.9)[:, None], _seen(plan.root, plan.spot[None])[0]
         # hands come from above, not through the edge of a table
         middle = self._tray_at + (_ramp(t, 0.5, 1.5)[:, None] - up) * (spot - self._tray_at)
@@ -354,9 +424,8 @@ class ChoreRoutine(Routine):
         return Movement(lead, middle, int(np.searchsorted(t, 1.6)))
 
     def _put(self, plan: Chore, t: Array) -> Movement:
-        """Put down what the hands hold."""
-        assert self._holds is not None
-        hand, spot = self._holds[1], _seen(plan.root, plan.spot[None])[0]
+        """Put down what the hands hold, or hands that are empty, of which the right one would hold a thing."""
+        hand, spot = 1 if self.holds is None else self.holds[1], _seen(plan.root, plan.spot[None])[0]
         lean, out = _ramp(t, 0.2, 1.4) - _ramp(t, 2.0, 3.0), (_ramp(t, 0.0, 1.5) - _ramp(t, 2.0, 3.0))[:, None]
         start = self._tray_at if hand == 2 else self._carry[hand]
         places = start + out * (spot - start)
@@ -431,14 +500,36 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
     """
     scene, free, member = episode.scene, episode.free, episode.roster[number]
     body, start = member.body, episode.starts[number, :2]
-    rng, things = generator(episode.seed, "breakfast", world=number), dict[str, list[str]]()
+    stops = chosen_stops(episode, number, BREAKFAST, generator(episode.seed, "breakfast", world=number), KEPT)
+    if not stops:
+        raise SceneError(
+            f"{member.name} can have no breakfast in {scene.name}. Hint: choose a home that opens, such as medium-open:3.",
+            code="H3-TASK-089",
+        )
+    return ChoreRoutine(scene, free, stops, body, start=start, number=number)
+
+
+def chosen_stops(
+    episode: Any, number: int, parts: Sequence[Sequence[tuple[str, tuple[str, ...], float]]], rng: Any, kept: float
+) -> list[Stop]:
+    """Return stops of an agent at random things of the home, without the parts that are impossible there.
+
+    Args:
+        episode: The episode.
+        number: Number of the agent.
+        parts: Parts as in `BREAKFAST`.
+        rng: Random numbers.
+        kept: Share of the parts that are not left out.
+    """
+    scene, free, body, start = episode.scene, episode.free, episode.roster[number].body, episode.starts[number, :2]
+    things = dict[str, list[str]]()
     for instance in scene.instances:
         # not the fronts of drawers, whose names have the thing's before a slash
         if "/" not in instance.name:
             things.setdefault(scene.assets[instance.asset].category, []).append(instance.name)
     stops: list[Stop] = []
-    for part in BREAKFAST:
-        wanted, chosen, tray = rng.random() < KEPT, list[Stop](), False
+    for part in parts:
+        wanted, chosen, tray = rng.random() < kept, list[Stop](), False
         for activity, categories, seconds in part:
             tray = tray or activity == "lift"
             there = [name for category in categories for name in things.get(category, ())]
@@ -446,18 +537,13 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
                 stop = Stop(there[k], activity, seconds)
                 try:
                     if activity in CHORES and activity not in UNPLANNED:
-                        _planned(scene, free, body, stop, start, number, tray=tray)
+                        planned(scene, free, body, stop, start, number, tray=tray)
                 except InputError:
                     continue
                 chosen.append(stop)
                 break
         stops += chosen if len(chosen) == len(part) else []
-    if not stops:
-        raise SceneError(
-            f"{member.name} can have no breakfast in {scene.name}. Hint: choose a home that opens, such as medium-open:3.",
-            code="H3-TASK-089",
-        )
-    return ChoreRoutine(scene, free, stops, body, start=start, number=number)
+    return stops
 
 
 def _carried_tray(body: Humanoid, scale: float) -> Array:
@@ -479,6 +565,19 @@ def _body(kind: str, pose: Array, count: int | None = None) -> Body:
     return Body(name=name, asset=kind, pose=pose.astype(np.float32), scale=scale, moving=0)
 
 
+def _open_book(middle: Array, eyes: Array) -> Array:
+    """Return the poses (pose7) of the parts `BOOK` of a book whose middle is at a point [3] and that faces the eyes [3]."""
+    away = middle - eyes
+    lean = quat_from_axis_angle([0.0, 0.0, 1.0], np.arctan2(away[1], away[0]))
+    poses = []
+    for kind, side in BOOK:
+        fold = quat_multiply(lean, quat_from_axis_angle([0.0, 1.0, 0.0], -side * FOLD_RAD))
+        # pages lie on the cover, on the side of the reader
+        inwards = 0.0 if kind == "book_cover" else -COVER_M[0] - PAGES_M[0]
+        poses.append(np.append(middle + quat_rotate(fold, np.array([inwards, 0.0, side * COVER_M[2]])), fold))
+    return np.array(poses)
+
+
 def _led_to_tray(middle: Array, spot: Array, lean: Array, farther_m: float) -> Array:
     """Return places [T, 4, 4] of hands that hold a tray at places [T, 3] and lean to a spot [3], in the agent root frame."""
     lead = np.zeros((len(middle), 4, 4))
@@ -496,21 +595,27 @@ def _ramp(t: Array, start: float, end: float) -> Array:
 @lru_cache(maxsize=256)
 def _kept_plan(
     scene: Scene, free: FreeSpace, body: Humanoid, stop: Stop, near: tuple[float, float], number: int, tray: bool
-) -> Chore:
-    return chore_at(scene, free, body, stop, near=np.array(near), number=number, tray=tray)
+) -> Chore | InputError:
+    try:
+        return chore_at(scene, free, body, stop, near=np.array(near), number=number, tray=tray)
+    except InputError as fault:
+        return fault
 
 
-def _planned(
+def planned(
     scene: Scene, free: FreeSpace, body: Humanoid, stop: Stop, start: Array, number: int, *, tray: bool
 ) -> Chore:
-    """Return the chore of a stop; a breakfast that was chosen because it can be done is not planned twice."""
+    """Return the chore of a stop; the same one is not planned twice."""
     least = CHORES[stop.activity] + SETTLES_S
     if stop.seconds < least:
         raise InputError(
             f"Expected at least {least:g} s for {stop.activity!r}, got {stop.seconds:g}.",
             code="H3-TASK-088",
         )
-    return _kept_plan(scene, free, body, stop, (float(start[0]), float(start[1])), number, tray)
+    found = _kept_plan(scene, free, body, stop, (float(start[0]), float(start[1])), number, tray)
+    if isinstance(found, InputError):
+        raise found.with_traceback(None)
+    return found
 
 
 # --- places --------------------------------------------------------------------------------------------------------------
@@ -691,12 +796,14 @@ def _surface(scene: Scene, body: Humanoid, thing: Instance, name: str, wide: boo
                 continue
             near = np.clip(place[:2] + 0.05 * ahead[[0, 2]], low, high)
             spot = np.array([near[0], centre[1] + half[1], near[1]])
+            # first what takes least time to find out
+            if float(abs((near - place[:2]) @ [-ahead[2], ahead[0]])) >= ASIDE_M:
+                continue
             grips = _seen(root, _grips(spot, root) if wide else np.stack([spot, spot]))
             farther = _farther(body, grips) if wide else 0.0
             if not (np.isfinite(farther) if wide else reacher(body, "left").reachable(grips[:1])[0]):
                 continue
-            aside = float(abs((near - place[:2]) @ [-ahead[2], ahead[0]]))
-            if aside < ASIDE_M and not _occupied(scene, thing, spot, inset):
+            if not _occupied(scene, thing, spot, inset):
                 return Chore(name, thing.name, root, spot, farther_m=farther, wide=wide)
     return None
 
@@ -728,19 +835,20 @@ def _arm(body: Humanoid, side: int) -> float:
 
 
 @lru_cache(maxsize=16)
-def _solids(scene: Scene) -> list[tuple[Instance, Array]]:
-    """Return everything in a scene that has shapes, with its bounds [2, 3]."""
-    return [(each, instance_bounds(scene, each)) for each in scene.instances if scene.assets[each.asset].shapes]
+def _solids(scene: Scene) -> tuple[list[Instance], Array]:
+    """Return everything in a scene that has shapes, with its bounds [N, 2, 3]."""
+    solids = [each for each in scene.instances if scene.assets[each.asset].shapes]
+    return solids, np.array([instance_bounds(scene, each) for each in solids]).reshape(-1, 2, 3)
 
 
 def _occupied(scene: Scene, thing: Instance, spot: Array, inset: Array) -> bool:
     """Return whether something stands where a tray would."""
-    for other, (low, high) in _solids(scene):
-        if other is thing:
-            continue
-        if low[1] < spot[1] + 0.2 and high[1] > spot[1] - 0.005 and not other.name.startswith(f"{thing.name}/"):
-            if (np.maximum(low[[0, 2]] - spot[[0, 2]], spot[[0, 2]] - high[[0, 2]]) >= inset).any():
-                continue
+    solids, bounds = _solids(scene)
+    low, high = bounds[:, 0], bounds[:, 1]
+    near = (low[:, 1] < spot[1] + 0.2) & (high[:, 1] > spot[1] - 0.005)
+    near &= (np.maximum(low - spot, spot - high)[:, [0, 2]] < inset).all(1)
+    for other in (solids[k] for k in np.flatnonzero(near)):
+        if other is not thing and not other.name.startswith(f"{thing.name}/"):
             # walls are around everything, and chairs before a table are not over it
             points = transform_points(instance_matrix(other), scene.assets[other.asset].mesh.vertices) - spot
             there = (np.abs(points[:, [0, 2]]) < inset).all(1) & (points[:, 1] > -0.005) & (points[:, 1] < 0.2)

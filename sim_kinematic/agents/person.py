@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.arms import ARM_JOINTS, CARRY_CLOSE, CARRY_JOINTS
+from h3data.bodies.people.gestures import lead_hands
 from h3data.bodies.people.kernels.attention import curl_fingers, turn_gaze
 from h3data.bodies.people.kernels.single_pose import blend_pose, frame_of_joint, hold
 from h3data.bodies.people.planted_gait import PlantedWalk, on_floor
@@ -171,6 +172,7 @@ class Person:
         free: FreeSpace | None = None,
         sizes: Mapping[str, float] | None = None,
         state: HumanState | None = None,
+        led: Array | None = None,
     ) -> None:
         """Put a person at a pose, standing still.
 
@@ -182,9 +184,10 @@ class Person:
             free: free floor, whose obstacles cause the arms to fold in by the rules ``spec.arms``.
             sizes: radii of the grips of objects by name [m]; the default is `GRIP_M`.
             state: the person's part of the state of one world, whose place and heading follow the agent root.
+            led: places to which hands that handle things are led (`h3data.bodies.people.gestures.lead_hands`) [4, 4].
         """
         self.state = HumanState.zeros(1) if state is None else state
-        self.body, self.spec, self.free = body, spec, free
+        self.body, self.spec, self.free, self.led = body, spec, free, led
         self.spot: Array = self.state.xz[0]
         """Position on the floor [2] [m], a view."""
         # place and heading are the state's own arrays, so they follow it without copies
@@ -553,6 +556,9 @@ class Person:
 
         The feet stay where walking has put them.
         """
+        if self.led is not None and self.led.any():
+            quats, pelvis = quats.copy(), pelvis.copy()
+            lead_hands(self.body, quats[None], pelvis[None], self.led[None])
         fade = self.transition
         if fade.kind != kind:
             fade = Transition(kind, self.bare, self.pelvis, 1.0)

@@ -27,12 +27,13 @@ def sit(person: Person, place: SeatPlace, seconds: float) -> Skill:
     return MotionResult(success=True)
 
 
-def show_seated(person: Person, place: SeatPlace, at: Array, share: float) -> None:
-    """Pose a person at a place ``(x, z, heading)`` [3], between standing (share 0) and sitting (1)."""
+def show_seated(person: Person, place: SeatPlace | None, at: Array, share: float) -> None:
+    """Pose a person at a place ``(x, z, heading)`` [3], between standing (share 0, or no seat) and sitting (1)."""
     gait = HumanState.zeros(1)
     gait.xz[0], gait.heading[0] = at[:2], at[2]
     person.base = person.root_at(gait)
     quats, pelvis = person.walk.stride(person.base, person.heading)
     quats = person.with_arms(quats)
-    take_seats(person.body, quats[None], pelvis[None], [(place.seat.height_m, share)])
+    if place is not None:
+        take_seats(person.body, quats[None], pelvis[None], [(place.seat.height_m, share)])
     person.show("walk", quats, pelvis)

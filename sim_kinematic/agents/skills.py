@@ -45,10 +45,15 @@ OPENING_SKILLS = ("nav_to_handle", "open", "close")
 """Skills in homes with doors and drawers that open; their target is the number of a joint."""
 SIT = "sit"
 """Skill of a person who is driven from outside: walk to the nearest seat and sit there until another command."""
+CHORE = "chore"
+"""Skill of a person who is driven from outside: handle a thing that they brought along; its target is a number of
+`CHORES`."""
+CHORES = ("take", "lift", "put", "phone")
+"""Chores: take a thing out of a fridge, take up a thing from furniture, put it down, and take out or put away a phone."""
 SEARCH = "nav_to_place"
 """Skill of agents that only know the objects that they have seen; its target is the number of a surface
 (`Scene.receptacles`)."""
-ALL_SKILLS = (*SKILLS, "drop", "hand_over", *OPENING_SKILLS, SIT, SEARCH)
+ALL_SKILLS = (*SKILLS, "drop", "hand_over", *OPENING_SKILLS, SIT, SEARCH, CHORE)
 """Skills in the order in which recordings of homes with doors and drawers, and of people driven from outside, number them."""
 CHOICE_WAIT_STEPS = 5
 """Duration of ``wait`` in `choices` [steps]."""
@@ -63,6 +68,7 @@ REASONS = {
     "held_by_other": "Somebody else holds it.",
     "invalid_posture": "It is out of reach from here.",
     "missed": "The hand did not get there.",
+    "no_chore": "There is nothing near by for it.",
     "no_joint": "There is no such door or drawer.",
     "no_room": "Something is in the way of the arm or the body.",
     "no_seat": "There is no free seat near by that fits.",

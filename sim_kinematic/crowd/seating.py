@@ -103,6 +103,8 @@ class Seats:
         self._scene, self._free, self._body = scene, free, body
         self._seats = seats_of(scene)
         self._before: dict[str, Array | None] = {}
+        self._lying: dict[str, bool] = {}
+        """Room to lie on a seat, by its name: True if the body has it."""
 
     def at(self, thing: str) -> list[Seat]:
         """Return the seats of a thing in the home, or, if it has none, the seats beside it, nearest first."""
@@ -154,12 +156,14 @@ class Seats:
         lies = place._replace(lie=np.array([*at, seat.heading - side * math.pi / 2, hips]))
         small = along < side * seat.ends[1] + to_feet or inward < aside
         small = small or any(math.hypot(*(other[:2] - at)) < LIES_APART_M for other in taken)
-        shares = np.linspace(1, 2, len(sitting.lying[1]))[::5]
-        track = np.array([root_at(lies, share) for share in shares.tolist()])
-        # the seat itself carries the body
-        if small or not self._is_clear(
-            track, sitting.lying[0][::5], sitting.lying[1][::5], on=seat.name.partition(":")[0]
-        ):
+        if not small and seat.name not in self._lying:
+            shares = np.linspace(1, 2, len(sitting.lying[1]))[::5]
+            track = np.array([root_at(lies, share) for share in shares.tolist()])
+            # the seat itself carries the body
+            self._lying[seat.name] = self._is_clear(
+                track, sitting.lying[0][::5], sitting.lying[1][::5], on=seat.name.partition(":")[0]
+            )
+        if small or not self._lying[seat.name]:
             raise InputError(
                 f"{self._body.name} cannot lie on {seat.name}: there is no room. Hint: choose a bed of "
                 f"{to_head + to_feet:.2f} x {2 * aside:.2f} m or more, with nothing higher and nobody beside it.",

@@ -73,6 +73,8 @@ class AssignedPolicy(NamedTuple):
     """Kind of agent: ``robot`` or ``human``."""
     plan: str = ""
     """Plan that a planner follows in this episode; empty for other policies."""
+    hands: HandWork | None = None
+    """Work of the hands of a person who is driven from outside; None: see `works`."""
 
     @property
     def is_external(self) -> bool:
@@ -92,7 +94,7 @@ class AssignedPolicy(NamedTuple):
 
 def works(policy: AssignedPolicy) -> HandWork | None:
     """Return the state of the hands of an agent; None if they handle nothing."""
-    return getattr(policy.policy, "hands", None)
+    return policy.hands or getattr(policy.policy, "hands", None)
 
 
 def is_address(name: str) -> bool:

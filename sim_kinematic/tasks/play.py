@@ -17,6 +17,7 @@ from h3data.render.light.sources import LightMode
 from h3data.scene.articulation import joint_names
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.crowd.errands import HandWork
+from sim_kinematic.crowd.roles import routines
 from sim_kinematic.policies.assignment import AssignedPolicy, works
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.sensing.agent_pictures import picture_names
@@ -133,6 +134,14 @@ class WorldRollout:
                 code="H3-TASK-016",
             )
         has_skills = task.control.has_skills
+        first = len(episode.moving) if has_skills else 0
+        if getattr(episode.spec, "chores", False):
+            policies = [
+                one._replace(hands=routines().get("chores")(episode, k).hands)
+                if one.takes_commands and one.kind == "human"
+                else one
+                for k, one in enumerate(policies)
+            ]
         things = [
             replace(thing, name=f"{member.name}_{thing.name}")
             for member, policy in zip(episode.roster, policies, strict=True)
@@ -144,10 +153,10 @@ class WorldRollout:
             episode.roster,
             measure=measure,
             # without skills and chores nothing moves the things of a home, so they are no part of the state
-            objects=len(episode.moving) if has_skills else len(things),
+            objects=first if has_skills else len(things),
             scene_joints=len(joint_names(episode.scene)) if has_skills or any(map(works, policies)) else 0,
         )
-        play.policies, play.things = list(policies), [replace(thing, moving=k) for k, thing in enumerate(things)]
+        play.policies, play.things = list(policies), [replace(thing, moving=k) for k, thing in enumerate(things, first)]
         play.begin([episode])
         return play
 

@@ -171,7 +171,7 @@ def test_what_cannot_be_done_is_refused() -> None:
 
 def test_breakfasts_differ_by_seed_and_are_refused_where_nothing_opens() -> None:
     names = [read_role("breakfast").routine, *routines().names()]
-    assert names == ["breakfast", "morning", "evening", "breakfast"]
+    assert names == ["breakfast", "morning", "evening", "breakfast", "chores"]
     scene = hall()
     home = FreeSpace.from_scene(scene, radius_m=0.25, height_m=1.5)
     task = Wander()
@@ -203,3 +203,28 @@ def test_knuckles_come_to_the_door_three_times() -> None:
     there = np.einsum("tab,tb->ta", root[:, :3, :3], lead[held, :3]) + root[:, :3, 3]
     np.testing.assert_allclose(palm, there, atol=5e-3)
     assert verify(knocks).difference is None
+
+
+def reader(task: Any, episode: Any, number: int) -> CrowdPolicy:
+    """A person who reads on the sofa."""
+    return chores_at([Stop("sofa_0", "read", 8.0)], episode, number)
+
+
+@pytest.mark.slow
+def test_who_reads_holds_a_book_while_sitting() -> None:
+    agents = {"human": f"{__name__}:reader"}
+    reads = h3data.simulate("wander", "small:1", roster=["female_1"], agents=agents, seed=3, max_steps=800)
+    parts = [body.moving for body in reads.moving_bodies if "book" in body.name]
+    assert len(parts) == 4
+    book = reads.columns["object_pose"][:, parts, :3].astype(np.float64)
+    shown = np.flatnonzero(np.isfinite(book).all((1, 2)))
+    assert len(shown) > 100
+    assert (reads.columns["agent_0.motion_seat"][shown, 1] == 1).all()
+    replay = Replay(reads)
+    body = replay.model(0)
+    assert isinstance(body, Humanoid)
+    frames = replay.joint_matrices(0, shown[::20])
+    palms = np.mean([hand_points(frames, body, hand) for hand in ("left", "right")], 0)
+    # the right hand turns pages
+    assert np.linalg.norm(book[shown[::20]].mean(1) - palms, axis=1).max() < 0.15
+    assert verify(reads).difference is None

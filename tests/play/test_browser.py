@@ -15,6 +15,8 @@ import pytest
 
 import h3data
 from h3data.recording import read_mcap
+from h3data_play.live import EpisodeFactory, LiveGame
+from h3data_play.plan import PlayPlan
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.resume import verify
@@ -151,6 +153,30 @@ def test_fingers_are_offered_the_postures_that_there_are(server: Any, tmp_path: 
     assert said["away"][-2:] == ["Wave", "Phone"]
     assert said["near"] == ["Sit down", "Lie down", "Wave", "Phone"]
     assert said["lies"] == ["Get up"]
+
+
+def test_a_fridge_a_tray_and_a_phone_are_used_by_fingers_and_keys(tmp_path: Path) -> None:
+    from tests.play.server import Server
+
+    plan: dict[str, Any] = {"scenes": "medium-open:3", "partner": "still", "seed": 3}
+    game = LiveGame(EpisodeFactory(PlayPlan(app="rearrange", out=str(tmp_path / "plan"), **plan)), 0)
+    hands: Any
+    (hands,) = [policy.hands for policy in game.session.play.policies if policy.hands is not None]
+    places = ",".join(f"{x},{z}" for x, z in (plan.root[[0, 2]] for plan in hands.plans.values()))
+    game.abort()
+    with Server(tmp_path / "out", **plan) as server:
+        said = play("chores", f"{server.links[0]}@{places}", tmp_path)
+    assert said["layout"] == {}
+    told = {name: (button, hint) for name, button, hint in said["told"]}
+    assert told["away"][0] is None
+    assert "Take carton open the fridge and take the carton" in told["fridge"][1]
+    assert told["carton"][0] == "Put down"
+    assert "K take the tray with both hands" in told["counter"][1]
+    assert "K put the tray down" in told["tray"][1]
+    assert "P put the phone away" in told["phone"][1]
+    recording = read_mcap(next((tmp_path / "out").glob("*.mcap")))
+    assert [event.kind for event in recording.events if event.kind in ("takes", "puts")] == ["takes", "puts"] * 2
+    assert verify(recording).difference is None
 
 
 def place_to_lie(scene: str) -> Any:

@@ -14,6 +14,7 @@ from h3data_play.messages import Gesture, Sit, decode
 from h3data_play.wire import GESTURES, LIES, SEATED, SITS
 from sim_kinematic.agents.driven.commands import Sit as Seat
 from sim_kinematic.agents.skills import sentence
+from sim_kinematic.crowd.seating import Seats
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.resume import verify
 
@@ -86,3 +87,20 @@ def test_messages_name_what_they_want() -> None:
     assert decode('{"k": "gesture", "name": "phone"}') == Gesture(name="phone")
     with pytest.raises(Exception, match="name"):
         decode('{"k": "gesture", "name": "juggle"}')
+
+
+def test_seats_that_were_searched_before_give_the_same_answers(driver: PersonDriver) -> None:
+    known, rng = driver.body.seats, np.random.default_rng(5)
+    assert known is not None
+    low, high = 0.0, 8.0
+    for _ in range(12):
+        xz, lies = rng.uniform(low, high, 2), bool(rng.integers(2))
+        other = np.array([*rng.uniform(low, high, 2), 0.0, 1.0])
+        taken = [other] if rng.random() < 0.5 else []
+        new = Seats(driver.session.episode.scene, driver.session.episode.free, driver.body.person.body)
+        found, again = (seats.nearest(xz, 3.0, taken, lies=lies) for seats in (new, known))
+        assert (found is None) == (again is None)
+        if found is not None and again is not None:
+            assert found.seat.name == again.seat.name
+            for was, now in ((found.before, again.before), (found.stand, again.stand), (found.lie, again.lie)):
+                np.testing.assert_array_equal(was, now)

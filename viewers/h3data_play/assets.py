@@ -87,7 +87,9 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
     Its entry ``me`` is -1, which the front process replaces by the number of the player's agent.
     """
     header, episode = session.recorder.header, session.episode
-    moving = sorted((body.moving, body.name) for body in header.bodies if body.moving >= 0)
+    names = [name for _, name in sorted((body.moving, body.name) for body in header.bodies if body.moving >= 0)]
+    # things of chores, which come after the objects of the task and are no objects to pick
+    brought = {thing.name for thing in session.play.things} if session.task.control.has_skills else set()
     agents = []
     for k, member in enumerate(episode.roster):
         agent: dict[str, Any] = {"name": member.name, "kind": member.kind, "drive": _drive(driving_base(session, k))}
@@ -101,9 +103,10 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
         "version": VERSION,
         "me": -1,
         "agents": agents,
-        "objects": [{"name": name, "label": app.label(name)} for _, name in moving],
+        "objects": [{"name": name, "label": app.label(name)} for name in names if name not in brought],
+        "brought": [{"name": name} for name in names if name in brought],
         "goals": [asdict(goal) for goal in app.goals()],
-        "joints": _joints(session, app, {name for _, name in moving}),
+        "joints": _joints(session, app, set(names)),
         "phrases": [phrase._asdict() for phrase in app.phrases()],
         "spots": [spot._asdict() for spot in app.spots()],
         "asks": bool(app.question),

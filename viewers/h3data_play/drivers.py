@@ -6,6 +6,7 @@ continues after a crash.
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -17,9 +18,11 @@ from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat, quat_from_matrix
 from h3data.scene import FreeSpace
+from h3data.scene.seats import seats_of
 from h3data_play.guide import FLOOR_SNAP_M, Guide
 from h3data_play.messages import (
     Act,
+    Chore,
     Close,
     Drop,
     Gesture,
@@ -39,6 +42,7 @@ from h3data_play.messages import (
 )
 from h3data_play.wire import GESTURES as CAN_GESTURE
 from h3data_play.wire import LIES, SEATED, SITS
+from sim_kinematic.agents.driven.commands import Chore as ChoreSkill
 from sim_kinematic.agents.driven.commands import Drop as DropSkill
 from sim_kinematic.agents.driven.commands import HandOver, HandTarget, PersonCommand
 from sim_kinematic.agents.driven.commands import Place as PlaceSkill
@@ -60,7 +64,11 @@ GOAL_M = 0.02
 WAVES = 3
 """Number of strokes of a waving hand."""
 OFFER_STEPS = 15
-"""Number of steps between two searches for seats; a search in a part of the home that is new to the player takes 50 ms."""
+"""Number of steps between two searches for seats and things that the player could use."""
+AHEAD_M = 5.0
+"""Distance within which one seat after the other is searched for room, one in a step, before the player comes near [m]."""
+PHONE = "phone"
+"""Name of the gesture and of the chore of looking at a phone."""
 
 
 class Driver:
@@ -153,6 +161,11 @@ class Driver:
     def offers(self) -> int:
         """Return the flags of the postures that are possible now (`h3data_play.wire.SITS` and the flags after it)."""
         return 0
+
+    @property
+    def chores(self) -> list[dict[str, str]]:
+        """Return the chores that are possible now, each with its ``name`` and the kind of the ``thing``."""
+        return []
 
     def can_place(self, point: Any) -> str:
         """Return the reason why the held object could not be placed at a point now; empty if it could."""
@@ -370,8 +383,13 @@ class PersonDriver(SkillDriver):
         self.head: tuple[float, float] | None = None
         self.gesture, self.gestured = "", 0
         """Name of the gesture, and number of its steps so far."""
-        self._seats, self._sought = 0, -OFFER_STEPS
-        """Flags of the seats that are near, and the step in which they were sought."""
+        self._seats, self._sought, self._place = 0, -OFFER_STEPS, b""
+        """Flags of the seats that are near, and the step and the places of people for which they were sought."""
+        self._chores: list[dict[str, str]] = []
+        self._new_seats = [
+            (seat.edge[[0, 2]], lies) for seat in seats_of(session.episode.scene) for lies in (False, True)
+        ]
+        """Edges (x, z) of the seats that have not been searched, and whether for room to lie there."""
 
     def follow(self, message: Act) -> str:
         """Carry out a message; messages about hands and head set their targets."""
@@ -391,8 +409,12 @@ class PersonDriver(SkillDriver):
             self.do([])
             self.queue = [] if sits else [SitSkill(message.lies)]
             return ""
+        if isinstance(message, Gesture) and message.name == PHONE and self.hold is not None:
+            message = Chore(PHONE)
+        if isinstance(message, Chore):
+            return self.do([ChoreSkill(message.name)])
         if isinstance(message, Gesture):
-            if self.objects.held(self.number) >= 0:
+            if self.hands_full:
                 return sentence("hand_full")
             self.gesture, self.gestured = "" if message.name == self.gesture else message.name, 0
             return ""
@@ -401,6 +423,8 @@ class PersonDriver(SkillDriver):
     def walking(self, forward: float, turn: float) -> PersonCommand:
         """Return the command for a velocity, with the targets of hands and head or those of a running gesture."""
         right, head = self.hands.get("right"), self.head
+        if self.hold is not None and self.hold.shows_phone:
+            head = head or (0.0, float(np.radians(GESTURES[PHONE].head_deg)))
         if self.gesture:
             gesture, seconds = GESTURES[self.gesture], self.gestured * STEP_S
             self.gestured += 1
@@ -449,18 +473,55 @@ class PersonDriver(SkillDriver):
         """Return the flags of the postures that the player could take now, by the rules of the simulator."""
         if self.body.seat is not None:
             return SEATED
-        if self.busy or self.objects.held(self.number) >= 0:
-            return 0
+        self._seek()
+        return 0 if self.busy or self.hands_full else CAN_GESTURE | self._seats
+
+    @property
+    def chores(self) -> list[dict[str, str]]:
+        """Return the chores that the player could start now, each with its name and the kind of the thing."""
+        self._seek()
+        return [] if self.busy else self._chores
+
+    def _seek(self) -> None:
+        """Search for seats and chores near a player whose body is free, if the last search is old enough."""
         step = len(self.session.recorder)
-        if step >= self._sought + OFFER_STEPS:
+        if self.busy or step == self._sought:
+            return
+        self._search_ahead()
+        if step < self._sought + OFFER_STEPS:
+            return
+        self._sought, team = step, self.session.play.team
+        seated = [actor.seat.taken for actor in team.actors if getattr(actor, "seat", None) is not None]
+        place = b"".join(part.tobytes() for part in (self.body.xz, *seated))
+        # where nobody has moved, the search would find the same seats
+        if place != self._place and not self.hands_full:
             able = {flag: not self.session.refusal(self.name, SitSkill(flag == LIES)) for flag in (SITS, LIES)}
-            self._seats, self._sought = sum(flag for flag in able if able[flag]), step
-        return CAN_GESTURE | self._seats
+            self._seats, self._place = sum(flag for flag in able if able[flag]), place
+        if self.hold is not None:
+            self._chores = [{"name": name, "thing": thing} for name, thing in self.hold.offers(self.body)]
+
+    def _search_ahead(self) -> None:
+        """Search one new seat near the player, so that the seats that come within reach are known."""
+        gaps = [math.hypot(*(edge - self.body.xz)) for edge, _ in self._new_seats]
+        if gaps and min(gaps) < AHEAD_M and self.body.seats is not None:
+            edge, lies = self._new_seats.pop(gaps.index(min(gaps)))
+            # 0.01: only this seat
+            self.body.seats.nearest(edge, 0.01, lies=lies)
+
+    @property
+    def hold(self) -> Any:
+        """Hands of the person for chores; None in tasks whose rules have none."""
+        return self.body.chores
+
+    @property
+    def hands_full(self) -> bool:
+        """Return whether the person holds an object of the task, or a thing of a chore."""
+        return self.objects.held(self.number) >= 0 or (self.hold is not None and self.hold.full)
 
     @property
     def busy(self) -> bool:
-        """Return whether a skill or walk is running or queued, or the person sits or gets up."""
-        return super().busy or self.body.seat is not None
+        """Return whether a skill or walk is running or queued, the person sits or gets up, or ends a chore."""
+        return super().busy or self.body.leaving is not None
 
     @property
     def body(self) -> DrivenPerson:

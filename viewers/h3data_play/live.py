@@ -376,7 +376,7 @@ class LiveGame:
         sentences = {number: driver.after(result) for number, driver in self.drivers.items()}
         self.ended = self.app.ended = self.app.step(result) or result.ended or self._stopped
         self.columns = session.recorder.latest_columns()
-        self.packed = self.packer.pack(self.columns)
+        self.packed = self.packer.pack(self.columns, self.carried)
         return {number: text for number, text in sentences.items() if text}
 
     def state(self, number: int, clock_ms: float, *, whole: bool) -> bytes:
@@ -390,6 +390,16 @@ class LiveGame:
             flags |= driver.offers | (BUSY if driver.busy else 0)
         ack = -1 if driver is None else driver.ack
         return self.packed.state(flags, len(self.session.recorder), ack, clock_ms, whole=whole)
+
+    @property
+    def carried(self) -> dict[int, int]:
+        """Return the agents that hold things of chores in their hands, by the number of the thing among what moves."""
+        found, first = dict[int, int](), len(getattr(self.session.play.team, "starts", ()))
+        hands: Any
+        for hands in filter(None, (policy.hands for policy in self.session.play.policies)):
+            found |= {first + k: hands.number for k in hands.held}
+            first += len(hands.things)
+        return found
 
     def barriers(self, number: int) -> list[list[int]]:
         """Return doors and drawers that the player of agent ``number`` has to open first, for each object.

@@ -111,6 +111,12 @@ class Gesture(Message, frozen=True, tag="gesture"):
     name: Literal["wave", "phone"]
 
 
+class Chore(Message, frozen=True, tag="chore"):
+    """Message to handle a thing that the person brought along, such as to take it out of the fridge."""
+
+    name: Literal["take", "lift", "put", "phone"]
+
+
 class Hand(Message, frozen=True, tag="hand"):
     """Message with the target position of a palm in the person's root frame [m]; without a point the arm is released."""
 
@@ -196,6 +202,7 @@ Act = (
     | Close
     | Sit
     | Gesture
+    | Chore
     | Use
     | Bring
     | Say

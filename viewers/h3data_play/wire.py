@@ -18,6 +18,7 @@ joint:   u16 index; f32 position of a door or drawer [rad or m]; up to the end o
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -114,9 +115,9 @@ class StatePacker:
         moving = sorted((b.moving, k) for k, b in enumerate(self.header.bodies) if b.moving >= 0)
         self._number = {body: number for number, body in moving}
 
-    def pack(self, columns: Columns) -> PackedStep:
-        """Pack the last row of ``columns``."""
-        parts, holders = [], {}
+    def pack(self, columns: Columns, carried: Mapping[int, int] | None = None) -> PackedStep:
+        """Pack the last row of ``columns``; other things are ``carried``: number of the thing and of the agent."""
+        parts, holders = [], dict(carried or {})
         for k, body in enumerate(self.bodies):
             agent = f"agent_{k}."
             base = columns[agent + "base_pose"][-1].astype(np.float64)

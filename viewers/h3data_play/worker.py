@@ -35,6 +35,7 @@ from h3data_play.messages import (
     Act,
     Answer,
     Bring,
+    Chore,
     Close,
     Drop,
     GoTo,
@@ -103,8 +104,9 @@ class Running:
     """CPU times of the latest steps, including packing and sending [s]."""
     huds: dict[int, Any] = field(default_factory=dict)
     barriers: dict[int, Any] = field(default_factory=dict)
+    chores: dict[int, Any] = field(default_factory=dict)
     seen: dict[int, Any] = field(default_factory=dict)
-    """Door or drawer that each player most recently had to open before an action, by agent."""
+    """State of the page's status line, barriers, chores and seen objects as last sent to each player, by agent."""
     floors: dict[int, Any] = field(default_factory=dict)
     """Floor that was last sent to each player; None if the page's floor is unknown, and no entry if it never changed."""
     is_stuck: bool = False
@@ -390,6 +392,7 @@ class Worker:
         running.whole = True
         running.huds.pop(number, None)
         running.barriers.pop(number, None)
+        running.chores.pop(number, None)
         running.seen.pop(number, None)
         running.heard.pop(number, None)
         if number in running.floors:
@@ -487,7 +490,9 @@ class Worker:
         running.latest_s.append(time.process_time() - cpu)
 
     def _take(self, running: Running, number: int, message: Act, text: str, arrived: float) -> None:
-        if isinstance(message, Bring) or (isinstance(message, Pick | Place | Use | Open | Close) and message.lead):
+        if isinstance(message, Bring | Chore) or (
+            isinstance(message, Pick | Place | Use | Open | Close) and message.lead
+        ):
             now, before = len(running.game.session.recorder), running.planned.get(number, -PLAN_STEPS)
             if now - before < PLAN_STEPS:
                 return
@@ -515,6 +520,11 @@ class Worker:
             if running.seen.get(number) != seen:
                 running.seen[number] = seen
                 self.channel.send("told", running.key, [number, {"seen": seen}])
+            driver = game.drivers.get(number)
+            chores = [] if driver is None else driver.chores
+            if running.chores.get(number, []) != chores:
+                running.chores[number] = chores
+                self.channel.send("told", running.key, [number, {"chores": chores}])
             heard, running.heard[number] = (
                 running.heard.get(number, 0),
                 len(getattr(game.session.play.team, "messages", ())),

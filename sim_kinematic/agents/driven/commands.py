@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from h3data.errors import InputError
-from sim_kinematic.agents.skills import CONTROL, SIT, Action, Destination, Message, Objects
+from sim_kinematic.agents.skills import CHORE, CHORES, CONTROL, SIT, Action, Destination, Message, Objects
 
 HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
 """Largest turns of the head from the direction of the chest [rad]."""
@@ -84,7 +84,15 @@ class Sit:
     """True if the person then lies down, on a bed or sofa that is large enough."""
 
 
-Do = Pick | Place | Drop | HandOver | Open | Close | Sit
+@dataclass(frozen=True)
+class Chore:
+    """Command to handle a thing that the person brought along, where the rules of the task have chores."""
+
+    name: str
+    """Chore: one of `sim_kinematic.agents.skills.CHORES`."""
+
+
+Do = Pick | Place | Drop | HandOver | Open | Close | Sit | Chore
 
 
 @dataclass(frozen=True)
@@ -123,20 +131,25 @@ def action_of(command: Any, objects: Objects, agent: int) -> Action:
     """
     given: Any = PersonCommand(do=command) if isinstance(command, Do) else command
     do = getattr(given, "do", None)
-    if isinstance(do, Pick):
-        return Action("pick", _index(do.object, objects))
-    if isinstance(do, Place):
-        return Action("place", objects.held(agent), command=_numbers("a point", do.point, 3, LARGEST_NUMBER))
-    if isinstance(do, Drop):
-        return Action("drop", objects.held(agent))
-    if isinstance(do, HandOver):
-        return Action("hand_over", objects.held(agent), command=(int(do.agent),))
-    if isinstance(do, Open | Close):
-        return Action("open" if isinstance(do, Open) else "close", _joint(do.joint, objects))
-    if isinstance(do, Sit):
-        return Action(SIT, command=(do.lies,) if do.lies else ())
+    skills: dict[type, Callable[[Any], Action]] = {
+        Pick: lambda pick: Action("pick", _index(pick.object, objects)),
+        Place: lambda place: Action(
+            "place", objects.held(agent), command=_numbers("a point", place.point, 3, LARGEST_NUMBER)
+        ),
+        Drop: lambda _: Action("drop", objects.held(agent)),
+        HandOver: lambda give: Action("hand_over", objects.held(agent), command=(int(give.agent),)),
+        Open: lambda part: Action("open", _joint(part.joint, objects)),
+        Close: lambda part: Action("close", _joint(part.joint, objects)),
+        Sit: lambda sit: Action(SIT, command=(sit.lies,) if sit.lies else ()),
+        Chore: lambda chore: Action(CHORE, CHORES.index(chore.name)),
+    }
+    if type(do) in skills and (not isinstance(do, Chore) or do.name in CHORES):
+        return skills[type(do)](do)
     if do is not None:
-        raise InputError(f"Expected Pick, Place, Drop, HandOver, Open, Close or Sit, got {do!r}.", code="H3-SIM-001")
+        raise InputError(
+            f"Expected Pick, Place, Drop, HandOver, Open, Close, Sit or a Chore ({', '.join(CHORES)}), got {do!r}.",
+            code="H3-SIM-001",
+        )
     if not hasattr(given, "forward") and np.shape(given) == (2,):
         given = PersonCommand(*given)
     if not (hasattr(given, "forward") and hasattr(given, "turn")):

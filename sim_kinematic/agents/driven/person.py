@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain
+from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from sim_kinematic.agents.person_skills import HANDS as HANDS_TRIED
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.sitting import show_seated
-from sim_kinematic.agents.skills import CONTROL, SIT, Action, Skill, SkillResult
+from sim_kinematic.agents.skills import CHORE, CONTROL, SIT, Action, Skill, SkillResult
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.crowd.errands import Motion
 from sim_kinematic.crowd.seating import SeatPlace, Seats, leave_seat, lying_way, take_seat
@@ -75,7 +76,11 @@ class DrivenPerson(PersonActor):
     """Seats of the home; None: the person cannot sit down."""
     seat: SeatPlace | None = None
     """Seat on which the person sits down, sits, or from which they get up."""
-    _leaving: Motion | None = None
+    chores: Any = None
+    """Work of the hands with things that the person brought along, which also has the methods of a `LearnedSkill` for the
+    skill `CHORE`; None: there is no such thing."""
+    leaving: Motion | None = None
+    """Rest of a motion that was interrupted, or the motion of getting up, which is shown before a command is followed."""
     _tables: Any = None
     """Tables of the feet before they went to the seat."""
     _seated: tuple[Array, float] = field(default_factory=lambda: (np.zeros(3), 0.0))
@@ -101,8 +106,10 @@ class DrivenPerson(PersonActor):
     def infeasible(self, action: Action) -> str:
         """Return the reason why an action is impossible now, empty if it is possible; direct control always is."""
         k, skill = action.target, action.skill
-        if skill == CONTROL:
-            return ""
+        if self.chores is not None and (why := self.chores.infeasible(self, action)):
+            return why
+        if skill in (CONTROL, CHORE):
+            return "no_chore" if skill == CHORE and self.chores is None else ""
         if skill == SIT:
             return "hand_full" if self.person.held else "" if self._nearest_seat(action) is not None else "no_seat"
         # a place without a point of its own is one at the task's goal, as of other people
@@ -195,12 +202,14 @@ class DrivenPerson(PersonActor):
             self._drive(STAND)
             yield
         self._drives = False
-        if action.skill == "drop":
-            return (yield from self._drop(action.target))
-        if action.skill == SIT:
-            return (yield from self._sit(action))
-        if action.skill == "hand_over":
-            return (yield from self._give(action))
+        own: dict[str, Callable[[], Skill]] = {
+            "drop": lambda: self._drop(action.target),
+            SIT: lambda: self._sit(action),
+            "hand_over": lambda: self._give(action),
+            CHORE: lambda: self.chores.start(self, action),
+        }
+        if action.skill in own:
+            return (yield from own[action.skill]())
         if action.skill == "place" and action.command:
             return (yield from self._handle(action.target, _point(action)))
         return (yield from super().start(action))
@@ -210,7 +219,7 @@ class DrivenPerson(PersonActor):
         """Return whether something of the last commands is still to be seen: a step, a turn, a hand, the head."""
         person = self.person
         moves = self._gait.blend[0] > 0 or not person.walk.stands or person.transition.left > 0
-        return self._drives and bool(moves or self.seat is not None or self._shares.any() or self._head.any())
+        return self._drives and bool(moves or self.leaving is not None or self._shares.any() or self._head.any())
 
     def _nearest_seat(self, action: Action) -> SeatPlace | None:
         """Return the nearest seat that the person can use; None: there is none within `DRIVEN.seat_within_m`."""
@@ -226,7 +235,7 @@ class DrivenPerson(PersonActor):
             return SkillResult("failed", "no_seat")
         x, z, heading = place.before.tolist()
         ahead = np.array([x + math.cos(heading), self.person.base[1] + DRIVEN.eyes_m, z - math.sin(heading)])
-        walked = yield from self._go_to(place.before, ahead)
+        walked = yield from self.go_to(place.before, ahead)
         self.person.look_at = None
         if walked.outcome != "done":
             return walked
@@ -235,28 +244,32 @@ class DrivenPerson(PersonActor):
         walk = self.person.walk
         # feet that keep out of furniture would be pushed away from the seat that they stand close to
         self._tables, walk.tables = walk.tables, on_stairs(self.person.body.gait_tables, walk.tables.heights)
-        self.seat, self._drives = place, True
+        self.seat, way = place, lying_way(place)
         try:
-            for at, share in chain(take_seat(np.append(self.xz, self.heading), place), lying_way(place)):
-                self._seated = at, share
-                show_seated(self.person, place, at, share)
-                self._follow()
-                yield
-            while True:
-                show_seated(self.person, place, *self._seated)
-                yield
+            return (
+                yield from self.perform(chain(take_seat(np.append(self.xz, self.heading), place), way, repeat(way[-1])))
+            )
         finally:
             # also where another command closes this generator: getting up begins from wherever they are
             at, share = self._seated
             back = [step for step in lying_way(place)[::-1] if step[1] < share]
-            self._leaving = chain(back, leave_seat(place.stand if back else at, place, min(share, 1.0)))
+            self.leaving = chain(back, leave_seat(place.stand if back else at, place, min(share, 1.0)))
 
-    def _leave_seat(self) -> bool:
-        """Make one step of getting up; False: the person stands before the seat."""
-        moved = None if self.seat is None or self._leaving is None else next(self._leaving, None)
-        if self.seat is None or moved is None:
-            # not before they are off the seat: feet that keep out of furniture would be pushed away from it
-            self.seat, self.person.walk.tables = None, self._tables
+    def perform(self, motion: Motion) -> Skill:
+        """Show a motion from step to step; what an interruption leaves of it is shown before the next command is followed."""
+        self.leaving = motion
+        while self._go_on():
+            yield
+        return SkillResult("done")
+
+    def _go_on(self) -> bool:
+        """Make one step of `leaving`; False: it is over."""
+        moved = None if self.leaving is None else next(self.leaving, None)
+        if moved is None:
+            self.leaving = None
+            if self.seat is not None:
+                # not before they are off the seat: feet that keep out of furniture would be pushed away from it
+                self.seat, self.person.walk.tables = None, self._tables
             return False
         self._drives, self.command, self._seated = True, (0.0, 0.0), moved
         show_seated(self.person, self.seat, *moved)
@@ -327,7 +340,7 @@ class DrivenPerson(PersonActor):
         A motion that would touch an agent that the person avoids is not made. Where other agents are solid, contact is
         decided by their discs at the places where the player's page shows them.
         """
-        if self.seat is not None and self._leave_seat():
+        if self._go_on():
             return
         self._drives, self.person.look_at = True, None
         gait, before = self._gait_here(), self._posture()

@@ -470,9 +470,9 @@ def target_of(goal: StoredGoal, origin: Array | None = None) -> Target:
 
 def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
     """Return the rules as JSON types, with null for the speed of an infinitely fast arm."""
-    rules = rules_dict(spec)
-    if rules.get("observe") == "full":  # as in recordings from before there was a choice
-        del rules["observe"]
+    # as in recordings from before there was a choice
+    since = {"observe": "full", "chores": False}
+    rules = {name: value for name, value in rules_dict(spec).items() if name not in since or value != since[name]}
     # JSON has no infinity
     if not np.isfinite(spec.arm_rad_s):
         rules["arm_rad_s"] = None

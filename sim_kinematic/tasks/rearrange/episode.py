@@ -127,10 +127,13 @@ class RearrangeSpec:
     skills: str = field(default="", repr=False)
     """Learned skills of robots, with digests (`sim_kinematic.policies.skills.names.recorded_skills`). Other skills are
     scripted and use the whole state."""
+    chores: bool = field(default=False, repr=False)
+    """True if people who are driven from outside have a phone and, where the home allows it, a tray and something in the
+    fridge (`sim_kinematic.agents.skills.CHORES`)."""
 
     def __repr__(self) -> str:
         # uids of episodes are made of it: those from before there were oracle skills stay as they were
-        later = {"oracle": None, "observe": "full"}
+        later = {"oracle": None, "observe": "full", "chores": False}
         shown = [f for f in fields(self) if f.repr or (f.name in later and getattr(self, f.name) != later[f.name])]
         return f"RearrangeSpec({', '.join(f'{f.name}={getattr(self, f.name)!r}' for f in shown)})"
 

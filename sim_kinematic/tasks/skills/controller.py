@@ -10,6 +10,8 @@ from h3data.recording import SkillSpan
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.giving_way import AnyActor
 from sim_kinematic.agents.skills import (
+    CHORE,
+    CHORES,
     CONTROL,
     OPENING_SKILLS,
     PRIMITIVES,
@@ -157,7 +159,9 @@ class SkillController:
 
     def _write(self, step: int, outcome: str, reason: str) -> None:
         """Report the action up to ``step``."""
-        names = {**dict.fromkeys(OPENING_SKILLS, self.joints), SEARCH: self.surfaces}.get(self.action.skill, self.names)
+        names = {**dict.fromkeys(OPENING_SKILLS, self.joints), SEARCH: self.surfaces, CHORE: CHORES}.get(
+            self.action.skill, self.names
+        )
         self.spans.append(
             SkillSpan(
                 agent=self.number,

@@ -49,6 +49,7 @@ from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.stand_offs import TaskProgress
 from sim_kinematic.crowd.seating import Seats
 from sim_kinematic.motion.state import NOBODY, HumanState
+from sim_kinematic.policies.assignment import works
 from sim_kinematic.policies.rearrange_observations import exact
 from sim_kinematic.policies.skills.names import skills_of
 from sim_kinematic.policies.views import CloseView, RearrangeView
@@ -100,6 +101,7 @@ class Household(Team):
         self.starts = state.object_pose[0, :, :3].copy()
         self.actors = [self._actor(number) for number in range(len(episode.roster))]
         self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
+        self._chores: list[Any] = [hands for policy in play.policies if (hands := works(policy)) is not None]
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         # people move first, so robots see where they are going
         self.order = [actor.number for actor in (*self.people, *self.robots)]
@@ -185,7 +187,17 @@ class Household(Team):
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
         room = reach_room(world.scene, body, world.free.floor_y)
         sizes = grip_radii(world.scene, self.objects.names)
-        person = Person(body, base, objects, spec=spec.human, free=world.free, sizes=sizes, state=own)
+        hands = works(self.play.policies[number])
+        person = Person(
+            body,
+            base,
+            objects,
+            spec=spec.human,
+            free=world.free,
+            sizes=sizes,
+            state=own,
+            led=None if hands is None else hands.lead,
+        )
         if spec.oracle is not None:
             errands = errands_of(world, number, self.parts)
             return OraclePerson(person, world.free, spec.human, self.objects, number, errands=errands)
@@ -201,6 +213,7 @@ class Household(Team):
             object_room=ObjectRoom(world.scene, self.objects.names, world.free.floor_y),
             radius_m=spec.agent_radius_m,
             seats=Seats(world.scene, world.free, body),
+            chores=hands,
         )
 
     def _openables(self) -> ArticulatedParts | None:
@@ -358,6 +371,8 @@ class Household(Team):
         # nearly always nobody touches: one array for all these steps, into which nobody may write
         world.touching = np.array([[pair in touching for pair in world.pairs]], np.bool_) if touching else self._apart
         self.at_goal = self._at_goal()
+        for hands in self._chores:
+            hands.follow(self.play)
         self._move_joints(self._joints)
         # after doors and drawers have moved, as they reveal and hide things in the same step
         self._look()
@@ -568,7 +583,7 @@ class Household(Team):
     def snapshot(self) -> dict[str, Any]:
         """Return the poses, held objects and skills of all agents, and the poses of all things."""
         # copies, as the recorder keeps rows until a block is full, while the state goes on
-        row: dict[str, Any] = {"object_pose": self.objects.poses.copy()}
+        row: dict[str, Any] = {"object_pose": np.concatenate([self.objects.poses, *(h.poses for h in self._chores)])}
         if self.objects.openables is not None:
             row[JOINTS] = self.objects.openables.positions.copy()
         for number in self.order:

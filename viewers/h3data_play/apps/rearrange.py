@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from h3data_play.app import App, Hud, sentence_of
+from sim_kinematic.crowd.roles import routines
 from sim_kinematic.tasks.rearrange.codec import spoken
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.task import Task
@@ -16,7 +17,13 @@ class RearrangeApp(App):
 
     task: ClassVar[str | type[Task]] = Rearrange
     # as in the paper's study: contact is counted, it does not end the episode
-    rules: ClassVar[Mapping[str, Any]] = {"max_steps": 5400, "end_on_collision": False, "solid_agents": True}
+    # chores come from another package, which an installation may lack
+    rules: ClassVar[Mapping[str, Any]] = {
+        "max_steps": 5400,
+        "end_on_collision": False,
+        "solid_agents": True,
+        "chores": "chores" in routines().names(),
+    }
 
     def hud(self, number: int) -> Hud:
         """Return the instruction, the time left, and the number of things at their goals."""

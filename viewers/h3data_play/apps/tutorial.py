@@ -47,7 +47,7 @@ HOW: Mapping[int, Mapping[str, str]] = {
 class TutorialApp(RearrangeApp):
     """App of the tutorial, which ends with ``success`` when all steps have been completed."""
 
-    rules: ClassVar[Mapping[str, Any]] = {**RearrangeApp.rules, "objects": 1, "max_steps": 18_000}
+    rules: ClassVar[Mapping[str, Any]] = {**RearrangeApp.rules, "objects": 1, "max_steps": 18_000, "chores": False}
     partner: ClassVar[str | None] = "solo"
 
     def reset(self, session: Session) -> None:

@@ -1,7 +1,9 @@
 /** A session as it is played: what is pressed becomes messages, states become pictures, reasons become sentences. */
 
 import { Vector3, WebGLRenderer } from "three";
-import { busyHints, deed, hints, holderText, situation, thumbText, useKey, type Barriers, type Seen, type Situation } from "./player/actions.ts";
+import {
+  busyHints, choreHints, deed, heldBy, hints, holderText, situation, thumbText, useKey, type Barriers, type Chore, type Seen, type Situation,
+} from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
 import { Deeds } from "./screen/deeds.ts";
@@ -54,6 +56,8 @@ export class Game {
   barriers: Barriers = [];
   /** Where the player has seen each thing; null: they know where everything is. */
   seen: Seen | null = null;
+  /** What the person can do now with the things that they brought along, as the server has told. */
+  chores: Chore[] = [];
   frames = 0;
   headset: Headset | null = null;
   readonly talk: Talk;
@@ -116,7 +120,8 @@ export class Game {
     this.hands = !!agent && manifest.objects.length + manifest.joints.length > 0;
     const things = !!agent && manifest.objects.length > 0;
     const joints = !!agent && manifest.joints.length > 0;
-    hud.offers({ things, joints, person: this.person, robot, places: things && manifest.spots.length > 0, talk: manifest.phrases.length > 0 });
+    const chores = this.person && manifest.brought?.some(({ name }) => name.startsWith(`${agent.name}_`)) === true;
+    hud.offers({ things, joints, person: this.person, robot, places: things && manifest.spots.length > 0, talk: manifest.phrases.length > 0, chores });
     this.setView(agent ? "third" : "above");
     addEventListener("resize", () => this.resize(), { signal });
     this.resize();
@@ -143,7 +148,7 @@ export class Game {
       this.predictor.hear({ step: state.step, ack: state.ack, base }, (state.flags & FLAG.busy) !== 0);
       this.predictor.others = state.agents.flatMap((at, k) => (k === me ? [] : discsOf(at, this.manifest.agents[k]!.drive)));
     }
-    const held = state.things.findIndex((thing) => thing.held === me);
+    const held = heldBy(this.manifest, state, me);
     if (held !== this.held) this.sound.play(held >= 0 ? "take" : "put");
     this.held = held;
     if (this.walkTo && !(state.flags & FLAG.busy) && this.arrived(base)) this.stopWalkingTo();
@@ -193,6 +198,7 @@ export class Game {
     else if (wish === "do") this.deeds.open(now.held >= 0 ? now.held : now.next);
     else if (wish === "use") this.use(now);
     else if (wish === "drop" || wish === "give") this.letGo(wish, now);
+    else if (wish === "chore") this.chore();
     else if (wish === "sit" || wish === "lie" || wish === "wave" || wish === "phone") this.assume(wish);
     else if (wish === "turn") {
       if (now.joint >= 0) this.turn(now.joint);
@@ -204,6 +210,13 @@ export class Game {
     if (!this.hands || !this.person) this.hud.toast(say(wish === "sit" ? "no_sitting" : "no_posture"));
     else if (wish === "sit" || wish === "lie") this.net.send({ k: "sit", lies: wish === "lie" });
     else this.net.send({ k: "gesture", name: wish });
+  }
+
+  /** Takes or puts down a thing that the person brought along. */
+  private chore(): void {
+    const chore = this.chores.find(({ name }) => name !== "phone");
+    if (chore) this.net.send({ k: "chore", name: chore.name });
+    else this.hud.toast(say("no_chore"));
   }
 
   private letGo(wish: "drop" | "give", now: Situation): void {
@@ -386,7 +399,7 @@ export class Game {
     const useful = this.useful(now);
     const use: [string, string][] =
       useful < 0 || !useKey(device) ? [] : [[useKey(device), say(`use_${this.deeds.uses[useful]}`, { thing: this.manifest.objects[useful]!.label })]];
-    const can = [...hints(now, this.manifest, state, device, this.aim?.fits ?? null), ...use];
+    const can = [...hints(now, this.manifest, state, device, this.aim?.fits ?? null), ...choreHints(this.chores, device), ...use];
     this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busyHints(device) : can, device);
     this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
       const who = holderText(this.manifest, state.things[k]!.held);
@@ -394,7 +407,7 @@ export class Game {
       const where = say(!now.known[k] ? "unseen_to_goal" : now.shut[k] ? "shut_to_goal" : "to_goal", { goal: goal.label });
       return { ...item, state: item.done ? say("there") : (now.known[k] && who) || where };
     }));
-    this.hud.postures(plays ? state.flags : 0);
+    this.hud.postures(plays ? state.flags : 0, plays ? this.chores : []);
     this.hud.thumb(...([false, true].map((lead) => thumbText(this.manifest, state, deed(now, lead), lead)) as [string, string]));
   }
 
@@ -444,7 +457,7 @@ export class Game {
 
 const BUTTONS: [string, Wish][] = [
   ["button-view", "view"], ["button-map", "map"], ["button-sound", "sound"], ["button-help", "help"],
-  ["thumb-act", "act"], ["thumb-goto", "goto"], ["posture-sit", "sit"], ["posture-lie", "lie"], ["posture-wave", "wave"], ["posture-phone", "phone"],
+  ["thumb-act", "act"], ["thumb-goto", "goto"], ["posture-sit", "sit"], ["posture-lie", "lie"], ["posture-wave", "wave"], ["posture-phone", "phone"], ["posture-chore", "chore"],
   ["button-do", "do"], ["button-finish", "finish"],
 ];
 const NEXT_VIEW: Record<View, View> = { third: "first", first: "third", above: "above" };

@@ -2,7 +2,7 @@
 
 import { Refused, takeSeat } from "./link/flow.ts";
 import { Game } from "./game.ts";
-import type { Barriers, Seen } from "./player/actions.ts";
+import type { Barriers, Chore, Seen } from "./player/actions.ts";
 import { Hud } from "./screen/hud.ts";
 import { Net, type Link } from "./link/net.ts";
 import { unpacked } from "./link/packed.ts";
@@ -89,6 +89,8 @@ interface Message {
    * or a door between rooms; -1: none. */
   barriers?: Barriers;
   seen?: Seen;
+  /** What the person can do now with the things that they brought along. */
+  chores?: Chore[];
   /** The distance grid of the floor as it is now, its cells as Base64 of zlib data. */
   floor?: SdfShape & { cells: string };
   can?: { p: number[]; why: string };
@@ -111,6 +113,7 @@ function hear(game: Game, hud: Hud, around: Around, message: Message): void {
   }
   if (message.barriers) game.barriers = message.barriers;
   if (message.seen) game.seen = message.seen;
+  if (message.chores) game.chores = message.chores;
   if (message.floor) {
     const { cells, ...map } = message.floor;
     void unpacked(cells).then((bytes) => game.sdf.replace(map, bytes.buffer));

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Manifest } from "../src/link/manifest.ts";
 import type { State } from "../src/link/wire.ts";
-import { busyHints, deed, hints, situation, turnText, useKey, type Barriers, type Seen, type Situation } from "../src/player/actions.ts";
+import { busyHints, choreHints, deed, hints, situation, turnText, useKey, type Barriers, type Chore, type Seen, type Situation } from "../src/player/actions.ts";
 
 const DOOR = { name: "fridge/door", label: "fridge door", parent: -1, kind: 1, rest: 0, closed: 0, opened: 1.5, nodes: [] };
 const MANIFEST = {
@@ -40,6 +40,19 @@ test("things are offered where they have been seen, and those never seen are not
   assert.deepEqual([moved.next, moved.far, moved.known[1]], [1, 2, { x: 2, y: 1, z: 0 }]);
   const [, held] = at(3, 4, [], 0);
   assert.deepEqual(situation(MANIFEST, held, 0, { x: 0, z: 0, heading: 0 }, [], [], [null, null]).known[0], { x: 3, y: 1, z: 0 });
+});
+
+test("who carries a tray is offered what can be done with it and nothing else", () => {
+  const [, state] = at(0.6, 4, NONE);
+  const tray = { held: 0, pose: Float32Array.of(0.3, 1, 0, 0, 0, 0, 1) };
+  const carrying = { ...state, things: [...state.things, tray] } as State;
+  const now = situation(MANIFEST, carrying, 0, { x: 0, z: 0, heading: 0 }, NONE, HANDLES);
+  assert.deepEqual([now.held, now.next, deed(now, true)], [-1, -1, { kind: "none" }]);
+  assert.deepEqual(hints(now, MANIFEST, carrying, "keys", null), []);
+  const chores: Chore[] = [{ name: "put", thing: "tray" }];
+  assert.deepEqual(choreHints(chores, "keys"), [["K", "put the tray down"]]);
+  assert.deepEqual(choreHints(chores, "touch"), [["Put down", "put the tray down"]]);
+  assert.deepEqual(choreHints([{ name: "phone", thing: "phone" }], "mouse"), [["P", "put the phone away"]]);
 });
 
 test("what is shut in is not taken before it is open", () => {

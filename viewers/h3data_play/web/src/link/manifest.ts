@@ -45,6 +45,8 @@ export interface GoalInfo {
 export interface Stage {
   agents: StagedAgent[];
   objects: { name: string }[];
+  /** Things that states move after the objects, such as a tray; none: there are no such things. */
+  brought?: { name: string }[];
   /** Doors and drawers that states move. */
   joints: Joint[];
   floor_y: number;

@@ -42,6 +42,36 @@ export interface Situation {
   known: ({ x: number; y: number; z: number } | null)[];
 }
 
+/** Something that the person can do with a thing that they brought along, as the server offers it. */
+export interface Chore {
+  name: "take" | "lift" | "put" | "phone";
+  thing: "carton" | "tray" | "phone";
+}
+
+/** Object of the task in an agent's hand; -1: none. */
+export function heldBy(manifest: Manifest, state: State, agent: number): number {
+  return state.things.findIndex((thing, k) => thing.held === agent && k < manifest.objects.length);
+}
+
+/** Whether an agent holds a thing of a chore. */
+export function carries(manifest: Manifest, state: State, agent: number): boolean {
+  return state.things.some((thing, k) => thing.held === agent && k >= manifest.objects.length);
+}
+
+/** What a button for a chore says. */
+export function choreText({ name, thing }: Chore): string {
+  return say(name === "put" ? "posture_put" : `posture_${thing}`);
+}
+
+/** Keys or buttons of the chores that are possible now; a gamepad has none. */
+export function choreHints(chores: Chore[], device: string): [string, string][] {
+  if (device === "pad") return [];
+  return chores.map((chore) => {
+    const key = chore.name === "phone" ? "P" : "K";
+    return [device === "touch" ? choreText(chore) : key, say(`chore_${chore.name}_${chore.thing}`)];
+  });
+}
+
 /** What one press does: puts down, opens or closes a door or drawer, takes. */
 export type Deed = { kind: "put" } | { kind: "take"; thing: number } | { kind: "turn"; joint: number } | { kind: "none" };
 
@@ -63,17 +93,20 @@ export function situation(
     const [x, y, z] = goal.position;
     return thing.held < 0 && Math.hypot(thing.pose[0]! - x, thing.pose[1]! - y, thing.pose[2]! - z) < AT_GOAL_M;
   });
-  const held = me < 0 ? -1 : state.things.findIndex((thing) => thing.held === me);
-  const known = state.things.map((thing, k) => {
+  const held = me < 0 ? -1 : heldBy(manifest, state, me);
+  // without the things of chores, which come last
+  const known = state.things.slice(0, manifest.objects.length).map((thing, k) => {
     const at = seen === null || thing.held === me ? thing.pose : seen[k];
     return at ? { x: at[0]!, y: at[1]!, z: at[2]! } : null;
   });
   let next = -1;
   let far = Infinity;
+  // who carries a tray takes and opens nothing else
+  const full = me >= 0 && carries(manifest, state, me);
   if (held >= 0) {
     const goal = manifest.goals[held];
     if (goal) far = Math.hypot(goal.position[0] - base.x, goal.position[2] - base.z);
-  } else {
+  } else if (!full) {
     state.things.forEach((thing, k) => {
       const at = known[k];
       const gap = at ? Math.hypot(at.x - base.x, at.z - base.z) : Infinity;
@@ -81,7 +114,7 @@ export function situation(
     });
   }
   const gaps = handles.map((handle) => Math.hypot(handle.x - base.x, handle.z - base.z));
-  const jointFar = Math.min(...gaps);
+  const jointFar = full ? Infinity : Math.min(...gaps);
   const [own, ofGoal] = barriers[next] ?? [-1, -1];
   const first = ofGoal >= 0 ? ofGoal : own;
   const robot = manifest.agents.findIndex((agent, k) => {

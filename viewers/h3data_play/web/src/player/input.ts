@@ -2,7 +2,7 @@
 
 import { clamp } from "../motion/sdf.ts";
 
-export type Wish = "act" | "goto" | "turn" | "drop" | "give" | "sit" | "lie" | "wave" | "phone" | "view" | "help" | "map" | "sound" | "cancel" | "use" | "do" | "talk" | "finish";
+export type Wish = "act" | "goto" | "turn" | "drop" | "give" | "sit" | "lie" | "wave" | "phone" | "chore" | "view" | "help" | "map" | "sound" | "cancel" | "use" | "do" | "talk" | "finish";
 
 export interface Listener {
   wish(wish: Wish): void;
@@ -18,7 +18,7 @@ const WALK: Record<string, "ahead" | "back" | "left" | "right" | "slow"> = {
   ShiftLeft: "slow", ShiftRight: "slow",
 };
 const WISHES: Record<string, Wish> = {
-  KeyE: "act", Space: "act", KeyF: "goto", KeyO: "turn", KeyQ: "drop", KeyG: "give", KeyC: "sit", KeyL: "lie", KeyX: "wave", KeyP: "phone", KeyV: "view", KeyH: "help", KeyM: "map",
+  KeyE: "act", Space: "act", KeyF: "goto", KeyO: "turn", KeyQ: "drop", KeyG: "give", KeyC: "sit", KeyL: "lie", KeyX: "wave", KeyP: "phone", KeyK: "chore", KeyV: "view", KeyH: "help", KeyM: "map",
   KeyN: "sound", Escape: "cancel", KeyR: "use", KeyB: "do", KeyT: "talk",
 };
 const PAD_WISHES: Wish[] = ["act", "drop", "goto", "view", "turn"];

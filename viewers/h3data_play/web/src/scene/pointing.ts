@@ -38,7 +38,7 @@ export class Pointing {
     const hit = this.ray.intersectObjects(this.world.home, true).find((found) => visible(found.object));
     const reach = hit ? hit.distance + 0.02 : Infinity;
     const thing = this.world.things.findIndex((node, k) => {
-      if (k === held) return false;
+      if (k === held || k >= this.world.pickable) return false;
       const found = this.ray.intersectObject(node, true)[0];
       return found !== undefined && found.distance <= reach;
     });

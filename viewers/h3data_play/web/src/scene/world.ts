@@ -39,6 +39,8 @@ interface PersonRig {
 export class World {
   readonly scene = new Scene();
   readonly things: Object3D[];
+  /** How many of the things are objects of the task, which come first; only they are picked. */
+  readonly pickable: number;
   readonly joints: JointRig;
   readonly floor: Floor;
   /** What a camera may not pass, and what a click on the floor may hit. */
@@ -88,7 +90,8 @@ export class World {
       if ("isSkinnedMesh" in node) node.frustumCulled = false;
       if ("isMesh" in node) (node as Mesh).material = matt((node as Mesh).material as MeshStandardMaterial);
     });
-    this.things = manifest.objects.map((thing) => {
+    this.pickable = manifest.objects.length;
+    this.things = [...manifest.objects, ...(manifest.brought ?? [])].map((thing) => {
       const node = this.named.get(thing.name);
       if (!node) throw new Error(`The home's file has no object called ${thing.name}.`);
       return node;

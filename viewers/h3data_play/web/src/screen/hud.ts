@@ -1,6 +1,7 @@
 /** What is said to the player: task, time, reasons, hints, covers. All of it is DOM, so that it can be read aloud and zoomed. */
 
 import { FLAG } from "../link/wire.ts";
+import { choreText, type Chore } from "../player/actions.ts";
 import { fillIn, say } from "../words.ts";
 import { setText } from "./markers.ts";
 import { thingColor, thingLetter } from "./palette.ts";
@@ -24,12 +25,14 @@ interface Offers {
   robot: boolean;
   places: boolean;
   talk: boolean;
+  /** Whether the person brought things along, such as a tray. */
+  chores: boolean;
 }
 
 /** What the help lists: keys, and the name of the words that say what they do. */
 const KEYS: [string[], string][] = [
   [["W", "A", "S", "D"], "walk"], [["Shift"], "slow"], [["E"], "act"], [["F"], "goto"], [["O"], "turn"], [["Q"], "drop"],
-  [["G"], "give"], [["C"], "sit"], [["L"], "lie"], [["X"], "wave"], [["P"], "phone"], [["R"], "use"], [["B"], "do"], [["T"], "talk"], [["V"], "view"], [["Esc"], "stop"], [["M"], "map"], [["N"], "sound"], [["H"], "help"],
+  [["G"], "give"], [["C"], "sit"], [["L"], "lie"], [["X"], "wave"], [["P"], "phone"], [["K"], "chore"], [["R"], "use"], [["B"], "do"], [["T"], "talk"], [["V"], "view"], [["Esc"], "stop"], [["M"], "map"], [["N"], "sound"], [["H"], "help"],
 ];
 /** After so long a live region that was emptied is read again, even where it says the same, ms. */
 const REPEAT_MS = 60;
@@ -58,12 +61,12 @@ export class Hud {
   }
 
   /** What there is to do in this home. */
-  offers({ things, joints, person, robot, places, talk }: Offers): void {
+  offers({ things, joints, person, robot, places, talk, chores }: Offers): void {
     document.body.toggleAttribute("data-hands", things || joints);
     const postures = (things || joints) && person;
     const there: Record<string, boolean> = {
       act: things, goto: things, turn: joints, drop: things && person, give: things && person && robot,
-      sit: postures, lie: postures, wave: postures, phone: postures, use: places, do: places, talk,
+      sit: postures, lie: postures, wave: postures, phone: postures, chore: chores, use: places, do: places, talk,
     };
     const rows = KEYS.filter(([, name]) => there[name] ?? true);
     $("keys").replaceChildren(
@@ -166,11 +169,15 @@ export class Hud {
     );
   }
 
-  /** Buttons for postures, for fingers: those that the player could take now. */
-  postures(flags: number): void {
+  /** Buttons for postures and chores, for fingers: those that are possible now. */
+  postures(flags: number, chores: Chore[]): void {
     const { sits, lies, seated, gestures } = FLAG;
     for (const [name, shown] of [["sit", sits | seated], ["lie", lies], ["wave", gestures], ["phone", gestures]] as const)
       this.show(`posture-${name}`, (flags & shown) !== 0);
+    const chore = chores.find(({ name }) => name !== "phone");
+    this.show("posture-chore", chore !== undefined);
+    if (chore) setText($("posture-chore"), choreText(chore));
+    if (chores.some(({ name }) => name === "phone")) this.show("posture-phone", true);
     setText($("posture-sit"), say(flags & seated ? "posture_rise" : "posture_sit"));
   }
 

@@ -243,7 +243,7 @@ const LAYOUT = `(() => {
 /** All buttons for postures at once, with the longest words that there are; they stay. */
 const ALL_POSTURES = `(() => {
   probe.game.hud.postures = () => {};
-  ["Sentarse", "Acostarse", "Saludar", "Teléfono"].forEach((word, k) =>
+  ["Sentarse", "Acostarse", "Saludar", "Teléfono", "Tomar bandeja"].forEach((word, k) =>
     Object.assign(document.querySelectorAll("#postures button")[k], { hidden: false, textContent: word }));
 })()`;
 
@@ -293,6 +293,68 @@ async function postures() {
   await tap("phone");
   await player.nap(1000);
   return { away, near, lies, layout: faults, ...(await player.close()) };
+}
+
+/** Takes a carton out of a fridge and puts it down by fingers, takes a tray by keys and looks at a phone: LINK@X,Z,X,Z, places
+ * before the fridge and the tray. */
+async function chores() {
+  const [link, at] = url.split("@");
+  const [x, z, trayX, trayZ] = at.split(",").map(Number);
+  const player = await openPage(link, { width: 390, height: 844, touch: true, full: !!pictures });
+  await player.started();
+  const faults = {};
+  const told = [];
+  const look = async (name) => {
+    await player.drawn(3);
+    const seen = await player.ask(LAYOUT);
+    if (seen.length) faults[name] = seen;
+    const hint = await player.ask("document.getElementById('hint').innerText.trim()");
+    const button = await player.ask("(({ offsetParent, textContent }) => offsetParent && textContent)(document.getElementById('posture-chore'))");
+    told.push([name, button, hint]);
+    await player.shot(picture(name));
+  };
+  const go = async (x, z) => {
+    await player.ask(`probe.game.net.send({ k: "goto", p: [${x}, 0, ${z}] }); 0`);
+    await player.nap(500);
+    await player.idle();
+  };
+  const offered = (name) => player.until(`probe.game.chores.some((chore) => chore.name === "${name}")`, `${name} to be offered`, 60_000);
+  const free = async () => {
+    await player.until("(probe.game.net.latest.flags & 8) !== 0", "the chore to begin", 60_000);
+    await player.until("(probe.game.net.latest.flags & 8) === 0", "the chore to end", 90_000);
+  };
+  await look("away");
+  await go(x, z);
+  await offered("take");
+  await look("fridge");
+  await player.page.tap("#posture-chore");
+  await player.until("[...probe.game.net.latest.joints].some((q) => Math.abs(q) > 0.8)", "the fridge to be open", 60_000);
+  await look("opens");
+  await player.until("(probe.game.net.latest.flags & 8) === 0", "the chore to end", 90_000);
+  await offered("put");
+  await look("carton");
+  await player.page.tap("#posture-chore");
+  await free();
+  await player.page.setViewportSize({ width: 1280, height: 800 });
+  await player.ask("probe.game.input.device = 'keys'; 0");
+  await go(trayX, trayZ);
+  await offered("lift");
+  await look("counter");
+  await player.press("k");
+  await free();
+  await player.press("s", 900);
+  await look("tray");
+  await offered("put");
+  await player.press("k");
+  await free();
+  await player.press("p");
+  await offered("phone");
+  await look("phone");
+  await player.press("p");
+  await player.until("!probe.game.chores.length", "the phone to be put away", 60_000);
+  await player.ask("probe.game.net.send({ k: 'leave' }); 0");
+  await player.until("!!probe.over", "the end of the episode");
+  return { told, layout: faults, ...(await player.close()) };
 }
 
 /** Lowest contrast that the ring around what has the focus has with anything behind it: of its two lines the better one counts. */
@@ -690,6 +752,6 @@ const OVERLAPS = `(() => {
   return [...out, ...seen.flatMap(([a, one], k) => seen.slice(k + 1).flatMap(([b, two]) => (on(one, two) ? [[a, b]] : [])))];
 })()`;
 
-const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, layout, postures, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
+const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, layout, postures, chores, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
