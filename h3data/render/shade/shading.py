@@ -289,7 +289,12 @@ def _shade_image(
             elif word == _MIXED:
                 marks[x] |= SHADED
                 strip[:3, x] = 0
-                seen = words[2 * y, 2 * x], words[2 * y, 2 * x + 1], words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]
+                seen = (
+                    words[2 * y, 2 * x],
+                    words[2 * y, 2 * x + 1],
+                    words[2 * y + 1, 2 * x],
+                    words[2 * y + 1, 2 * x + 1],
+                )
                 for k in range(4):
                     sx, sy = 2 * x + (k & 1), 2 * y + (k >> 1)
                     word, alike, right, down = _alike(seen, k)
