@@ -55,7 +55,7 @@ def picture_arrays(
         shape = (len(cameras), cameras[0].height, cameras[0].width, *trailing)
         array = None if out is None else out.get(name)
         if array is None:
-            array = np.zeros(shape, dtype)
+            array = np.empty(shape, dtype)
         elif array.shape != shape or array.dtype != dtype or not array.flags.c_contiguous:
             raise InputError(
                 f"out[{name!r}] must be contiguous {np.dtype(dtype)} {list(shape[1:])} for each of {len(cameras)} cameras, "

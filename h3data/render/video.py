@@ -78,7 +78,8 @@ class VideoWriter:
             height: height of the frames [px].
             fps: frames per second.
             codec: video codec.
-            crf: quality, 0 is best; default 23 for H.264, 32 for AV1.
+            crf: quality, 0 is best; default 32 for AV1, and for H.264 a constant quantiser of 23, which takes a quarter less
+                time than crf 23.
             preset: effort of the encoder, in the terms of x264 or SVT-AV1.
             key_frames: frames from one key frame to the next, for H.264, without B-frames: a decoder that jumps to a frame
                 decodes this many at most. By default the encoder decides.
@@ -97,9 +98,10 @@ class VideoWriter:
         self._rate = Fraction(fps).limit_denominator(1001)
         self.frame_count = 0
         self._options = dict(_SETTINGS[codec].options)
-        quality = {"h264": 23, "av1": 32}
-        if codec in quality:
-            self._options["crf"] = str(quality[codec] if crf is None else crf)
+        default = {"h264": ("qp", 23), "av1": ("crf", 32)}
+        if codec in default:
+            option, quality = default[codec] if crf is None else ("crf", crf)
+            self._options[option] = str(quality)
             self._options["preset"] = preset or self._options["preset"]
         if codec == "h264":
             self._options["x264-params"] += f":threads={threads}"

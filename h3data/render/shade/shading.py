@@ -291,14 +291,16 @@ def _shade_image(
             elif word == _MIXED:
                 marks[x] |= SHADED
                 strip[:3, x] = 0
+                seen = (
+                    words[2 * y, 2 * x],
+                    words[2 * y, 2 * x + 1],
+                    words[2 * y + 1, 2 * x],
+                    words[2 * y + 1, 2 * x + 1],
+                )
                 for k in range(4):
                     sx, sy = 2 * x + (k & 1), 2 * y + (k >> 1)
-                    word = words[sy, sx]
-                    first, alike, right, down = 4, 0, 0, 0
-                    for j in range(4):
-                        if words[2 * y + (j >> 1), 2 * x + (j & 1)] == word:
-                            first, alike, right, down = min(first, j), alike + 1, right + (j & 1), down + (j >> 1)
-                    if first < k:
+                    word, alike, right, down = _alike(seen, k)
+                    if not alike:
                         continue  # samples of one triangle are shaded once, in their middle
                     u1 = (2 * x + right / alike + 0.5 - cx) / fx
                     v1 = (2 * y + down / alike + 0.5 - cy) / fy
@@ -398,6 +400,18 @@ def _shade_image(
             for x in range(width):
                 for a in range(3):
                     normal[y, x, a] = normals[3 + a, x]
+
+
+@kernel_part(forceinline=True)
+def _alike(seen, k):
+    """The word of the ``k``-th of four samples, how many show it, and how many of these on the right and below.
+
+    There are 0 if an earlier sample shows it too.
+    """
+    word = seen[k]
+    a, b, c, d = (seen[0] == word) * 1, (seen[1] == word) * 1, (seen[2] == word) * 1, (seen[3] == word) * 1
+    earlier = (a if k > 0 else 0) + (b if k > 1 else 0) + (c if k > 2 else 0)
+    return word, (0 if earlier else a + b + c + d), b + d, c + d
 
 
 @kernel_part()

@@ -123,7 +123,6 @@ class Demo:
                     videos.write("third_person", size or VIDEO_SIZE)
                     videos.write("arm_depth")
                     above.result()
-                    videos.written.set_result(None)
                     beside.result()
         summary: dict[str, Any] = {
             "wall_s": round(clock.total, 2),
@@ -174,13 +173,14 @@ class _Videos:
 
     def __init__(self, replay: Replay, out: Path) -> None:
         self.replay, self.out = replay, out
-        self.written: Future[None] = Future()
-        """Event that is set when all videos are written."""
+        self.written: dict[Path, Future[None]] = {out / f"{name}.mp4": Future() for name in VIDEOS}
+        """Future of each file, which is done when the file is written."""
         self._steps = range(0, len(replay), FRAME_EVERY)
         # one bar for all of them, later (`show_progress`)
         self._bar = progress(total=len(VIDEOS) * len(self._steps), desc="render", unit="frame", delay=math.inf)
         self._lock = threading.Lock()
         self._tracks: dict[str, CameraTrack] = {}
+        self._failed = False
 
     def prepare(self) -> None:
         """Build what threads share."""
@@ -194,22 +194,23 @@ class _Videos:
 
     def write(self, name: str, size: tuple[int, int] | None = None, *, threads: int | None = None) -> None:
         """Write one video; all cores work on it unless ``threads`` is given."""
-        track = self.track(name).resized(*size) if size else self.track(name)
+        track, path = self.track(name).resized(*size) if size else self.track(name), self.out / f"{name}.mp4"
         render_files(
             self.replay,
-            [(track, [Target(VIDEOS[name][1], "h264", self.out / f"{name}.mp4")])],
+            [(track, [Target(VIDEOS[name][1], "h264", path)])],
             steps=self._steps,
             threads=threads or core_count(),
             samples=4,
             frame_done=self._count,
         )
+        self.written[path].set_result(None)
 
     def show_progress(self) -> None:
         """Show the bar from now on."""
         self._bar.delay = 0
 
     def _count(self) -> None:
-        if self.written.done():
+        if self._failed:
             raise CancelledError
         with self._lock:
             self._bar.update()
@@ -218,8 +219,10 @@ class _Videos:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if error is not None and not self.written.done():
-            self.written.set_exception(error)
+        self._failed = error is not None
+        for file in self.written.values():
+            if error is not None and not file.done():
+                file.set_exception(error)
         self._bar.close()
 
 
@@ -233,16 +236,15 @@ def _write_first_picture(replay: Replay, track: CameraTrack, path: Path) -> None
 
 
 def _write_beside(recording: Recording, videos: _Videos, out: Path) -> None:
-    """Write the dataset and the file for Rerun, which waits for the videos."""
+    """Write the dataset and the file for Rerun, which waits for each video."""
     from h3data.recording import DatasetWriter
 
     with DatasetWriter(out / "dataset") as writer:
         writer.add(recording)
     cameras = [(videos.track(name), out / f"{name}.mp4") for name in VIDEOS]
     plain = Replay(recording, detail=False)
-    VIEWERS.get("rerun")(
-        recording, out / "episode.rrd", replay=plain, cameras=cameras, videos_ready=videos.written.result
-    )
+    ready = lambda video: videos.written[video].result()  # noqa: E731
+    VIEWERS.get("rerun")(recording, out / "episode.rrd", replay=plain, cameras=cameras, videos_ready=ready)
 
 
 @dataclass

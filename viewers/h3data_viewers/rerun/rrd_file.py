@@ -59,7 +59,7 @@ def write_rrd(
     replay: PosedScene | None = None,
     cameras: Sequence[CameraFeed | tuple[CameraTrack, Path]] = (),
     videos: Mapping[str, Path] | None = None,
-    videos_ready: Callable[[], object] | None = None,
+    videos_ready: Callable[[Path], object] | None = None,
     images: ImageStorage = "stills",
     skin_every: int = SKIN_EVERY,
     overwrite: bool = False,
@@ -72,7 +72,7 @@ def write_rrd(
         replay: meshes and poses, as in `ViewedRecording`.
         cameras: cameras to show, as feeds or as tracks with their MP4 files.
         videos: MP4 files of cameras of the replay, as in `ViewedRecording`.
-        videos_ready: Function that is called before the videos are read, and may wait until they are complete.
+        videos_ready: Function that is called with the path of each video before it is read, and may wait until it is complete.
         images: storage of camera videos, see `h3data_viewers.rerun.cameras.log_camera`.
         skin_every: steps between samples of skinned bodies, which move rigidly with their agent in between. A larger
             interval is chosen where the file would otherwise become too large.
@@ -128,7 +128,7 @@ def _write_file(
     images: ImageStorage,
     skin_every: int,
     overwrite: bool,
-    ready: Callable[[], object] | None = None,
+    ready: Callable[[Path], object] | None = None,
 ) -> Path:
     if path.exists() and not overwrite:
         raise InputError(
@@ -182,7 +182,7 @@ def _log(
     *,
     images: ImageStorage,
     skin_every: int,
-    ready: Callable[[], object] | None = None,
+    ready: Callable[[Path], object] | None = None,
 ) -> None:
     feeds = [[*side.cameras, *_named_cameras(side)] for side in sides]
     # a missing video is found before all else is written; videos that are still being written are checked later
@@ -231,7 +231,7 @@ def _log_world(
     images: ImageStorage,
     skin_every: int,
     *,
-    ready: Callable[[], object] | None,
+    ready: Callable[[Path], object] | None,
 ) -> None:
     import rerun as rr
 
@@ -246,10 +246,10 @@ def _log_world(
     log_free_space(sink, recording, replay.scene if isinstance(replay, Replay) else None)
     log_goals(sink, recording)
     log_scans(sink, recording)
-    if ready is not None:
-        ready()
-        _check_videos([cameras])
     for feed in cameras:
+        if ready is not None and feed.video is not None:
+            ready(feed.video)
+            _check_videos([[feed]])
         log_camera(sink, feed, images=images)
 
 
