@@ -267,7 +267,7 @@ def choose_velocity(
     gx, gz = sdf_gradient(sdf, origin, cell, x, z)
     steep = max(math.hypot(gx, gz), 1e-9)
     gx, gz = gx / steep, gz / steep
-    horizon, most, easy = rules[0], max(most, 1e-3), rules[18] > 5.0
+    horizon, most, easy = rules[0], max(most, 1e-3), rules[18] > 5.0 and not forces
     if forces:
         ax, az = rules[10] * (wx - vx) / tau, rules[10] * (wz - vz) / tau
         for k in range(count):
@@ -316,7 +316,9 @@ def choose_velocity(
         if len(body) <= j < len(body) + furniture:
             ahead_s, jx, jz = rules[1], 0.0, 0.0
         else:
-            reach += rules[4] if j >= len(body) or not easy else 0.0
+            # feet and hands that reach to each other keep bodies apart already
+            stretch = (reach - radii[m] - radii[j]) / (2.0 * STRIDE_M) if easy and j < len(body) else 0.0
+            reach += rules[4] * (1.0 - stretch)
             # who gives way is on the way out of the path
             if j < len(body) and firsts[j] == m and not forces:
                 ahead_s = rules[19]
@@ -325,7 +327,7 @@ def choose_velocity(
                 share = 1.0 - rules[22]
         # discs that overlap come apart within half a second; offsets of changes become those of velocities
         nx, nz, offset = half_plane(px, pz, vx - jx, vz - jz, reach, ahead_s, 0.5, share)
-        # only changes that are needed are shared
+        # only changes that are needed are shared, and not what others leave free
         offset = offset / share if easy and offset < 0.0 else offset
         planes[k + 2, 0], planes[k + 2, 1], planes[k + 2, 2] = nx, nz, offset + nx * vx + nz * vz
     return nearest_velocity(planes, count + 2, wx, wz, most)
@@ -472,7 +474,7 @@ def step_crowd(
         step: Number of the step.
         dt: Duration of a step [s].
     """
-    decel, unblocked, easy = limits[1], rules[18] > 3.0, rules[18] > 5.0
+    decel, unblocked, to_come = limits[1], rules[18] > 3.0, rules[18] > 5.0
     for m in range(len(counts)):
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
         along[m] = progress_along(path, cumulative, along[m], places[m, 0], places[m, 1])
@@ -486,7 +488,7 @@ def step_crowd(
             best[m, 1] = step
     firsts = np.empty(len(counts), np.intp)
     for m in range(len(counts)):
-        firsts[m] = first_through(claims, company, m, rules[6], easy)
+        firsts[m] = first_through(claims, company, m, rules[6], to_come)
     for m in range(len(counts)):
         # each decides at steps of their own, so that not all decide in the same one
         pause = max(int(traits[m, 2] / dt + 0.5), 1)

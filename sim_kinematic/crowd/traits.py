@@ -24,7 +24,7 @@ class CrowdSpec:
     neighbour_m: float = 6.0
     """Distance beyond which people and robots are ignored [m]."""
     comfort_m: float = 0.08
-    """Distance between outlines that avoidance adds to both radii [m]; from version 6 on, not between people of a crowd."""
+    """Distance between outlines that avoidance adds to both radii [m]."""
     narrow_m: float = 0.55
     """Distance to the nearest wall below which a place counts as narrow: two people cannot pass each other there
     [m]."""
@@ -57,8 +57,9 @@ class CrowdSpec:
     only with members whom they see, and keep walking at least slowly. From 4 on, people who should go back walk on if
     they are at the start of their path, and members of a walking group do not pull at each other while another person
     is between them. From 5 on, a place beside a wall is narrow only if there is no more room beside it either
-    (`sim_kinematic.crowd.step.is_narrow`). From 6 on, people give way to nobody who has passed them, and take all
-    velocities that avoid the present velocity of others, not only half of the way from their own to these."""
+    (`sim_kinematic.crowd.step.is_narrow`). From 6 on, people give way to nobody who has passed them. With
+    `orca`, they then take any velocity that avoids others who keep theirs, and add less than ``comfort_m`` where feet and
+    hands already reach to each other."""
     way_horizon_s: float = 2.0
     """Time within which `orca` avoids a collision with a person who gives way [s]."""
     aside_mps: float = 0.6
