@@ -80,7 +80,7 @@ class CrowdSpec:
             return cls(version=min(version, 4))
         quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=version)
         early = replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1) if version > 4 else quick
-        return replace(early, aside_m=1.05) if version > 5 else early
+        return replace(early, wait_m=2.0, aside_m=1.2) if version > 5 else early
 
     @property
     def numbers(self) -> Array:
