@@ -267,7 +267,7 @@ def choose_velocity(
     gx, gz = sdf_gradient(sdf, origin, cell, x, z)
     steep = max(math.hypot(gx, gz), 1e-9)
     gx, gz = gx / steep, gz / steep
-    horizon, most, easy = rules[0], max(most, 1e-3), rules[18] > 5.0 and not forces
+    horizon, most, easy = rules[0], max(most, 1e-3), rules[18] > 5.0
     if forces:
         ax, az = rules[10] * (wx - vx) / tau, rules[10] * (wz - vz) / tau
         for k in range(count):
