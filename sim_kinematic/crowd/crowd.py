@@ -35,13 +35,14 @@ AROUND_M, LEAVES_M, OFF_M, FAR_M = (PASSING_M, 0.8), 1.6, 0.9, 4.0
 """Distances for paths around people who stand, and for backing out [m]: distances at which paths go around them, the
 second of which is used if the first leaves no path; least distances of a place to back out to from everybody near, and
 from their paths; distance within which people count as near; and length of these paths."""
-VERSION = 5
+VERSION = 6
 """Version of the rules by which crowds decide, which recordings store. In version 1, that of recordings without a
 version, conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there
 although others cannot get past. Up to version 2, people avoid others 2 s ahead, including those who give way to them,
 and step aside more slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody
 backs out (`Crowd._way`). Up to version 4, every place near a wall counts as narrow, and people give way later and more
-slowly."""
+slowly. Up to version 5, and with `social_force` still, they also give way to people who have passed them, and slow down
+for people who move away."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """Conditions for sitting down: distance from the place before the seat [m], speed [m/s], and distance to others'
 outlines below which people wait [m]."""
@@ -100,9 +101,9 @@ class Crowd:
         self._grid = free.sdf, free.origin, free.cell_m
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
         # with the shorter horizons of version 3, people block the way of walking groups and get too near to what they fear
-        constants = CrowdSpec.of_version(
-            version, wary=any(role.group or role.reaction != "regular" for role in roles or ())
-        )
+        wary = any(role.group or role.reaction != "regular" for role in roles or ())
+        # with the smaller distances of version 6, people of social force touch
+        constants = CrowdSpec.of_version(min(version, 5) if model == "social_force" else version, wary=wary)
         self._forces, self._rules = model == "social_force", (spec or constants).numbers
         self._limits = (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))

@@ -145,8 +145,11 @@ def claim_passages(sdf, origin, cell, xz, paths, counts, lengths, along, claims,
 
 
 @kernel(error_model="numpy")
-def first_through(claims, company, m, wait):
-    """Return the number of the person who passes a narrow place before person ``m`` from the other side, or -1."""
+def first_through(claims, company, m, wait, to_come):
+    """Return the number of the person who passes a narrow place before person ``m`` from the other side, or -1.
+
+    With ``to_come``, people whose narrow place begins beyond that of person ``m`` do not count: they have passed it.
+    """
     if claims[m, 0] == 0.0:
         return -1
     for j in range(len(claims)):
@@ -154,12 +157,14 @@ def first_through(claims, company, m, wait):
             continue
         # people who walk one behind the other go through together
         opposite = claims[m, 3] * claims[j, 3] + claims[m, 4] * claims[j, 4] < -0.3
-        near = math.hypot(claims[m, 1] - claims[j, 1], claims[m, 2] - claims[j, 2]) < wait + 0.4
+        px, pz = claims[m, 1] - claims[j, 1], claims[m, 2] - claims[j, 2]
+        near = math.hypot(px, pz) < wait + 0.4
+        passed = to_come and px * claims[j, 3] + pz * claims[j, 4] < 0.0
         earlier = claims[j, 0] < claims[m, 0] or (claims[j, 0] == claims[m, 0] and j < m)
         # who is in the passage goes on before anybody who is still outside
         if claims[j, 5] != claims[m, 5]:
             earlier = claims[j, 5] > 0.0
-        if opposite and near and earlier:
+        if opposite and near and earlier and not passed:
             return j
     return -1
 
@@ -262,7 +267,7 @@ def choose_velocity(
     gx, gz = sdf_gradient(sdf, origin, cell, x, z)
     steep = max(math.hypot(gx, gz), 1e-9)
     gx, gz = gx / steep, gz / steep
-    horizon, most = rules[0], max(most, 1e-3)
+    horizon, most, easy = rules[0], max(most, 1e-3), rules[18] > 5.0
     if forces:
         ax, az = rules[10] * (wx - vx) / tau, rules[10] * (wz - vz) / tau
         for k in range(count):
@@ -311,7 +316,9 @@ def choose_velocity(
         if len(body) <= j < len(body) + furniture:
             ahead_s, jx, jz = rules[1], 0.0, 0.0
         else:
-            reach += rules[4]
+            # feet and hands that reach to each other keep bodies apart already
+            stretch = (reach - radii[m] - radii[j]) / (2.0 * STRIDE_M) if easy and j < len(body) else 0.0
+            reach += rules[4] * (1.0 - stretch)
             # who gives way is on the way out of the path
             if j < len(body) and firsts[j] == m and not forces:
                 ahead_s = rules[19]
@@ -320,6 +327,8 @@ def choose_velocity(
                 share = 1.0 - rules[22]
         # discs that overlap come apart within half a second; offsets of changes become those of velocities
         nx, nz, offset = half_plane(px, pz, vx - jx, vz - jz, reach, ahead_s, 0.5, share)
+        # only changes that are needed are shared, and not what others leave free
+        offset = offset / share if easy and offset < 0.0 else offset
         planes[k + 2, 0], planes[k + 2, 1], planes[k + 2, 2] = nx, nz, offset + nx * vx + nz * vz
     return nearest_velocity(planes, count + 2, wx, wz, most)
 
@@ -465,7 +474,7 @@ def step_crowd(
         step: Number of the step.
         dt: Duration of a step [s].
     """
-    decel, unblocked = limits[1], rules[18] > 3.0
+    decel, unblocked, to_come = limits[1], rules[18] > 3.0, rules[18] > 5.0
     for m in range(len(counts)):
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
         along[m] = progress_along(path, cumulative, along[m], places[m, 0], places[m, 1])
@@ -479,7 +488,7 @@ def step_crowd(
             best[m, 1] = step
     firsts = np.empty(len(counts), np.intp)
     for m in range(len(counts)):
-        firsts[m] = first_through(claims, company, m, rules[6])
+        firsts[m] = first_through(claims, company, m, rules[6], to_come)
     for m in range(len(counts)):
         # each decides at steps of their own, so that not all decide in the same one
         pause = max(int(traits[m, 2] / dt + 0.5), 1)

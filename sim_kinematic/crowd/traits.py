@@ -57,7 +57,9 @@ class CrowdSpec:
     only with members whom they see, and keep walking at least slowly. From 4 on, people who should go back walk on if
     they are at the start of their path, and members of a walking group do not pull at each other while another person
     is between them. From 5 on, a place beside a wall is narrow only if there is no more room beside it either
-    (`sim_kinematic.crowd.step.is_narrow`)."""
+    (`sim_kinematic.crowd.step.is_narrow`). From 6 on, people give way to nobody who has passed them, take any
+    velocity that avoids others who keep theirs, and add less than ``comfort_m`` where feet and hands already reach to
+    each other."""
     way_horizon_s: float = 2.0
     """Time within which `orca` avoids a collision with a person who gives way [s]."""
     aside_mps: float = 0.6
@@ -77,7 +79,8 @@ class CrowdSpec:
         if wary or version < 3:
             return cls(version=min(version, 4))
         quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=version)
-        return quick if version < 5 else replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1)
+        early = replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1) if version > 4 else quick
+        return replace(early, wait_m=2.0, aside_m=1.2) if version > 5 else early
 
     @property
     def numbers(self) -> Array:

@@ -90,6 +90,28 @@ def test_who_walks_alone_walks_at_their_own_speed(floor: FreeSpace, model: Crowd
     assert np.abs(track[:, 1] - 6.0).max() < 0.05
 
 
+@pytest.mark.parametrize("gap", [1.2, 1.4, 1.6])
+def test_who_follows_somebody_faster_sets_off_almost_as_if_alone(floor: FreeSpace, gap: float):
+    def way(version: int, people: int) -> float:
+        crowd = Crowd(
+            floor, [person(1.0), person(1.5)][:people], [path_to((16.0, 6.0))] * people, "orca", version=version
+        )
+        return walk(crowd, [(2.0, 6.0), (2.0 + gap, 6.0)][:people], [0.0, 0.0][:people], 45)[-1, 0, 0]
+
+    assert way(6, 1) == way(5, 1), "alone, people walk as before"
+    assert way(6, 1) - way(6, 2) < 0.4 * (way(5, 1) - way(5, 2)), "less than half of the way is lost behind the other"
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_version_6_changes_how_people_avoid_each_other_by_orca_alone(floor: FreeSpace, model: CrowdModel):
+    goals, starts = [(15.0, 6.0), (3.0, 6.0), (9.0, 2.0)], [(3.0, 6.0), (15.0, 6.2), (9.0, 10.0)]
+    tracks = [
+        walk(Crowd(floor, [person()] * 3, [path_to(goal) for goal in goals], model, version=v), starts, [0.0] * 3, 300)
+        for v in (5, 6)
+    ]
+    assert np.array_equal(*tracks) == (model == "social_force")
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_who_finds_no_goal_stands_and_others_walk_round_them(floor: FreeSpace, model: CrowdModel):
     nowhere = Errand(np.zeros((0, 2)))

@@ -14,7 +14,7 @@ from h3data.scene import FreeSpace
 from h3data_social.people.profile import social_force
 from sim_kinematic.crowd.orca import half_plane, nearest_velocity
 from sim_kinematic.crowd.social_force import interaction
-from sim_kinematic.crowd.step import is_narrow
+from sim_kinematic.crowd.step import first_through, is_narrow
 from sim_kinematic.crowd.traits import CrowdSpec, sample_traits
 
 metres = st.floats(-4.0, 4.0)
@@ -116,11 +116,23 @@ def test_places_are_narrow_where_two_cannot_pass_and_not_beside_a_wall_of_a_hall
 
 
 def test_constants_of_earlier_versions_stay():
-    kept = {1: (2.0, 1.2, 2.0, 0.6, 0.8), 3: (1.2, 1.2, 0.7, 1.0, 1.1), 4: (1.2, 1.2, 0.7, 1.0, 1.1)}
-    for version, numbers in kept.items():
-        assert tuple(CrowdSpec.of_version(version).numbers[[0, 6, 19, 20, 21]]) == numbers
-    assert CrowdSpec.of_version(5, wary=True) == CrowdSpec.of_version(4, wary=True), "groups decide as before"
-    assert CrowdSpec.of_version(5) != CrowdSpec.of_version(4)
+    kept = {1: (2.0, 1.2, 0.9, 2.0, 0.6, 0.8), 3: (1.2, 1.2, 0.9, 0.7, 1.0, 1.1), 5: (1.2, 1.7, 0.9, 0.7, 1.3, 1.3)}
+    for version, numbers in (kept | {4: kept[3]}).items():
+        assert tuple(CrowdSpec.of_version(version).numbers[[0, 6, 7, 19, 20, 21]]) == numbers
+    assert CrowdSpec.of_version(6, wary=True) == CrowdSpec.of_version(4, wary=True), "groups decide as before"
+    assert len({CrowdSpec.of_version(version) for version in (3, 4, 5, 6)}) == 4
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.1, 1.5), st.booleans())
+def test_who_has_come_through_a_passage_is_not_waited_for(angle: float, gap: float, inside: bool):
+    ahead, nobody = np.array([math.cos(angle), math.sin(angle)]), np.full(2, -1, np.int64)
+    for sign in (-1.0, 1.0):
+        # the first comes towards the second from ``gap`` beyond the passage of that one, or has gone as far past it
+        place = sign * gap * ahead
+        claims = np.array([[1.0, *place, *-ahead, 1.0], [2.0, 0.0, 0.0, *ahead, float(inside)]])
+        assert first_through(claims, nobody, 1, 1.7, False) == 0, "up to version 5, both count"
+        assert first_through(claims, nobody, 1, 1.7, True) == (0 if sign > 0 else -1)
+        assert first_through(claims, nobody, 0, 1.7, True) == -1, "who was there first gives way to nobody"
 
 
 def test_people_differ_and_are_the_same_again():
