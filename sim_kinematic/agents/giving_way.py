@@ -7,7 +7,7 @@ Agents move one after the other. It is used by agents with skills and by agents 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from itertools import combinations
 from typing import Any
@@ -35,6 +35,38 @@ from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 AnyActor = RobotActor | PersonActor
 _CALL = Entries()
 _STILL = AVOIDANCE.still_steps, AVOIDANCE.still_m
+
+
+class _Others(Sequence[ObservedAgent]):
+    """Agents that one agent avoids, the nearest first, as they are in its turn; observed when they are first asked for."""
+
+    def __init__(self, company: GivingWay, me: AnyActor, avoided: Sequence[AnyActor]) -> None:
+        self._company, self._me, self._avoided = company, me.number, avoided
+        self._far = [(other.number, 2 * other.footprint.extent_m) for other in avoided]
+        self.seen: list[ObservedAgent] | None = None
+
+    def are_beyond(self, xz: list[float], reach_m: float) -> bool:
+        """Return whether all are farther from a point than ``reach_m`` and twice their own extent, without observing them."""
+        at = self._company.at
+        return all(math.dist(xz, at[number]) > reach_m + size_m for number, size_m in self._far)
+
+    def _look(self) -> list[ObservedAgent]:
+        if self.seen is None:
+            self.seen = [self._company.observed(other) for other in self._avoided]
+            if len(self.seen) > 1:
+                # stable: agents at the same distance keep the order of their numbers on every machine
+                gaps = np.array([other.xz for other in self.seen]) - np.array(self._company.at[self._me])
+                self.seen = [self.seen[k] for k in np.hypot(*gaps.T).argsort(kind="stable").tolist()]
+        return self.seen
+
+    def __len__(self) -> int:
+        return len(self._avoided)
+
+    def __getitem__(self, k: Any) -> Any:
+        return self._look()[k]
+
+    def __iter__(self) -> Iterator[ObservedAgent]:
+        return iter(self._look())
 
 
 class GivingWay:
@@ -78,6 +110,7 @@ class GivingWay:
             track[0] = actor.xz
         self._pairs = list(combinations(range(len(actors)), 2))
         self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
+        self._others = [_Others(self, me, some) for me, some in zip(actors, self._avoided, strict=True)]
         self.bodies = [agent.body for agent in roster]
         self._capsules = [AgentCapsules(body) for body in self.bodies]
         # the gate allows for `quad_arm`; each agent has half of it, and a longer robot what it is longer
@@ -92,8 +125,8 @@ class GivingWay:
         """Postures to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
         self._acted: set[int] = set()
         """Agents that have acted in this step."""
-        self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
-        """Place of each agent; of the one whose turn it is, before that."""
+        self.at: list[list[float]] = [actor.xz.tolist() for actor in actors]
+        """Place (x, z) of each agent; of the one whose turn it is, before that."""
         self._seen: dict[int, ObservedAgent] = {}
         """Agents as others see them, for those whom somebody has looked at since they last acted."""
         self._settled = np.zeros(len(actors), np.bool_)
@@ -132,14 +165,10 @@ class GivingWay:
 
     def begin_turn(self, me: AnyActor) -> None:
         """Update an agent's view of the others and their motion before its own step."""
-        seen, me.hindered_by = [self._observed(other) for other in self._avoided[me.number]], frozenset()
-        if len(seen) > 1:
-            # stable: agents at the same distance keep the order of their numbers on every machine
-            gaps = np.array([other.xz for other in seen]) - me.xz
-            seen = [seen[k] for k in np.hypot(*gaps.T).argsort(kind="stable").tolist()]
-        me.others = tuple(seen)
+        me.others, me.hindered_by = self._others[me.number], frozenset()
+        me.others.seen = None
 
-    def _observed(self, other: AnyActor) -> ObservedAgent:
+    def observed(self, other: AnyActor) -> ObservedAgent:
         """Return what all see of an agent, which only its own turn changes."""
         number, count = other.number, self._moments
         if number not in self._seen:
@@ -160,7 +189,7 @@ class GivingWay:
         """Note that an agent has acted and has moved."""
         self._acted.add(number)
         self._seen.pop(number, None)
-        self._at[number] = self.actors[number].xz.tolist()
+        self.at[number] = self.actors[number].xz.tolist()
 
     def meets(self, me: AnyActor) -> bool:
         """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
@@ -209,13 +238,13 @@ class GivingWay:
         self._moments += 1
         self._acted.clear()
         self._seen.clear()
-        self._at = [actor.xz.tolist() for actor in self.actors]
-        _CALL(_note, self._places, self._moments, np.array(self._at), self._settled, *_STILL)
-        self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
+        self.at = [actor.xz.tolist() for actor in self.actors]
+        _CALL(_note, self._places, self._moments, np.array(self.at), self._settled, *_STILL)
+        self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self.at[a], b) and self._touch(a, b)]
 
     def _is_near(self, a: int, here: list[float], b: int) -> bool:
         """Return whether an agent at (x, z) could touch another with their arms stretched out."""
-        return math.dist(here, self._at[b]) <= self._reach_m[a] + self._reach_m[b]
+        return math.dist(here, self.at[b]) <= self._reach_m[a] + self._reach_m[b]
 
     def _touch(self, a: int, b: int) -> bool:
         """Return whether two agents touch as they are now."""
