@@ -330,12 +330,22 @@ class Household(Team):
         policy = self.play.policies[number].policy
         rests = self.play.step % getattr(policy, "interrupts_every", 1)
         interrupts = None if controller.is_free or rests else getattr(policy, "interrupts", None)
+        if interrupts is None:
+            return
         # most of the time nobody is close, and a view takes far longer than to find that out
         needs_view = not getattr(policy, "interrupts_only_when_close", False)
-        if interrupts is None or not (needs_view or self._is_close(number)):
+        glance = CloseView(controller.action, self._is_close(number), self.play.step, self._is_taken(controller))
+        # what an agent knows that has not seen everything only a view tells
+        may_interrupt = getattr(policy, "may_interrupt", None) if self.objects.sight is None else None
+        if not (glance.close or needs_view) or not (may_interrupt is None or may_interrupt(glance)):
             return
-        if reason := interrupts(self.play.view(number) if needs_view else CloseView(controller.action)):
+        if reason := interrupts(self.play.view(number) if needs_view else glance):
             controller.interrupt(reason)
+
+    def _is_taken(self, controller: SkillController) -> bool:
+        """Return whether another agent holds the object of a running skill."""
+        k, held_by = controller.action.target, self.objects.held_by
+        return 0 <= k < len(held_by) and held_by.item(k) not in (NOBODY, controller.number)
 
     def end_turn(self, number: int) -> None:
         """Note that an agent has moved."""
