@@ -225,7 +225,7 @@ class Person:
     def base(self, pose: Array) -> None:
         self._base = pose
         # in place, because `spot` and `_drawn` look at the same arrays
-        self.state.xz[0, 0], self.state.xz[0, 1] = pose[0], pose[2]
+        self.spot[0], _, self.spot[1], *_ = pose.tolist()
         self.state.heading[0] = heading_from_quat(pose[3:])
 
     @property

@@ -103,7 +103,9 @@ def choose_command(
     if lacks <= 0.0:
         return -1
     best, least, counts = -1, math.inf, not math.isnan(before[0])
-    for c in range(len(_CANDIDATES) + counts):
+    for n in range(len(_CANDIDATES) + counts):
+        # the last command first: it is often good, and what is worse is left the sooner
+        c = n - counts if n >= counts else len(_CANDIDATES)
         forward, turn = (_CANDIDATES[c, 0], _CANDIDATES[c, 1]) if c < len(_CANDIDATES) else before
         # only the worst gap counts: more room on one side must not make up for less on the other
         x, z, heading, lacks = try_command(
@@ -128,7 +130,8 @@ def choose_command(
         cost += turn_weight * abs(turn)
         if counts:
             cost += change_weight * (abs(turn - before[1]) + abs(forward - before[0]))
-        if cost < least:
+        # of equal ones the first in the table, in whatever order they are tried
+        if cost < least or (cost == least and c < best):
             best, least = c, cost
     return best
 

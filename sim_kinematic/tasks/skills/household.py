@@ -129,6 +129,10 @@ class Household(Team):
         self.bodies = np.append(body_indices(episode), -1)
         self.at_goal = self._at_goal()
         self._places: list[list[float]] = episode.starts.tolist()
+        # views: a step changes the arrays of a world in place
+        self._before, self._now = (
+            [(own.xz[0], own.heading) for own in moment.agents] for moment in (play.world.before, state)
+        )
         self._look()
 
     def _introduced(self) -> GivingWay:
@@ -353,10 +357,9 @@ class Household(Team):
 
     def note_places(self) -> None:
         """Store the present poses of all agents, and those of the last call in `World.before`."""
-        world = self.play.world
-        for was, place in zip(world.before.agents, self._places, strict=True):
-            was.xz[0, 0], was.xz[0, 1], was.heading[0] = place
-        self._places = [[*own.xz[0].tolist(), own.heading.item(0)] for own in world.state.agents]
+        for (xz, heading), place in zip(self._before, self._places, strict=True):
+            xz[0], xz[1], heading[0] = place
+        self._places = [[*xz.tolist(), heading.item(0)] for xz, heading in self._now]
 
     def move(self, commands: Sequence[Command | None]) -> None:
         """Complete a step in which the agents have moved one after the other."""
