@@ -211,6 +211,7 @@ class Person:
         (`h3data.bodies.people.kernels.attention`) [rad]."""
         self._to_turn = 0.0
         self._closing: dict[Hand, float] = {}
+        self._carry_points: dict[Hand, Array] = {}
         self._carry_arms: dict[Hand, Array] = {}
         self._carried: dict[Hand, tuple[float, Array]] = {}
         """Rotations of arms that hold something out, and as close to the body as they were last."""
@@ -259,7 +260,7 @@ class Person:
         for hand, held in self.held.items():
             self.objects[held.name] = pose = np.empty(7)
             # the place is rigid with the palm, the rotation is not: what stood upright keeps upright
-            self.call(hold, *self._wrist(hand), held.grip, self.upright(held), float(self.tilts[hand]), pose)
+            self.call(hold, *self._wrist(hand), held.grip, self.heading, held.stood, float(self.tilts[hand]), pose)
 
     @property
     def joint_matrices(self) -> Array:
@@ -474,8 +475,10 @@ class Person:
         return self._line(hand, self._path_out(hand, target), (0.0, 1.0), (0.0, 1.0))[0]
 
     def _carry_point(self, hand: Hand) -> Array:
-        side = 1.0 if hand == "right" else -1.0
-        return np.array(CARRY) * (1, 1, side) * reacher(self.body, hand).body.scale
+        if hand not in self._carry_points:
+            side = 1.0 if hand == "right" else -1.0
+            self._carry_points[hand] = np.array(CARRY) * (1, 1, side) * reacher(self.body, hand).body.scale
+        return self._carry_points[hand]
 
     def _path_out(self, hand: Hand, target: Array) -> Array:
         """Corners of the hand's way from hanging to a target: in front of the chest first, unless the target is low."""
