@@ -7,7 +7,7 @@ Agents move one after the other. It is used by agents with skills and by agents 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from itertools import combinations
 from typing import Any
@@ -38,39 +38,7 @@ _STILL = AVOIDANCE.still_steps, AVOIDANCE.still_m
 _Stance = tuple[float, float, float, Any]
 SPARE_M = 0.3
 """Distance beyond that of contact within which agents may go on without another test of their capsules [m]: a step of a robot
-is at most 8 cm and 6 degrees."""
-
-
-class _Others(Sequence[ObservedAgent]):
-    """Agents that one agent avoids, the nearest first, as they are in its turn; observed when they are first asked for."""
-
-    def __init__(self, company: GivingWay, me: AnyActor, avoided: Sequence[AnyActor]) -> None:
-        self._company, self._me, self._avoided = company, me.number, avoided
-        self._far = [(other.number, 2 * other.footprint.extent_m) for other in avoided]
-        self.seen: list[ObservedAgent] | None = None
-
-    def are_beyond(self, xz: list[float], reach_m: float) -> bool:
-        """Return whether all are farther from a point than ``reach_m`` and twice their own extent, without observing them."""
-        at = self._company.at
-        return all(math.dist(xz, at[number]) > reach_m + size_m for number, size_m in self._far)
-
-    def _look(self) -> list[ObservedAgent]:
-        if self.seen is None:
-            self.seen = [self._company.observed(other) for other in self._avoided]
-            if len(self.seen) > 1:
-                # stable: agents at the same distance keep the order of their numbers on every machine
-                gaps = np.array([other.xz for other in self.seen]) - np.array(self._company.at[self._me])
-                self.seen = [self.seen[k] for k in np.hypot(*gaps.T).argsort(kind="stable").tolist()]
-        return self.seen
-
-    def __len__(self) -> int:
-        return len(self._avoided)
-
-    def __getitem__(self, k: Any) -> Any:
-        return self._look()[k]
-
-    def __iter__(self) -> Iterator[ObservedAgent]:
-        return iter(self._look())
+is at most 8 cm and 5 degrees."""
 
 
 class GivingWay:
@@ -114,7 +82,6 @@ class GivingWay:
             track[0] = actor.xz
         self._pairs = list(combinations(range(len(actors)), 2))
         self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
-        self._others = [_Others(self, me, some) for me, some in zip(actors, self._avoided, strict=True)]
         self.bodies = [agent.body for agent in roster]
         self._capsules = [AgentCapsules(body) for body in self.bodies]
         # the gate allows for `quad_arm`; each agent has half of it, and a longer robot what it is longer
@@ -171,10 +138,14 @@ class GivingWay:
 
     def begin_turn(self, me: AnyActor) -> None:
         """Update an agent's view of the others and their motion before its own step."""
-        others = self._others[me.number]
-        me.others, me.hindered_by, others.seen = others, frozenset(), None
+        seen, me.hindered_by = [self._observed(other) for other in self._avoided[me.number]], frozenset()
+        if len(seen) > 1:
+            # stable: agents at the same distance keep the order of their numbers on every machine
+            gaps = np.array([other.xz for other in seen]) - me.xz
+            seen = [seen[k] for k in np.hypot(*gaps.T).argsort(kind="stable").tolist()]
+        me.others = tuple(seen)
 
-    def observed(self, other: AnyActor) -> ObservedAgent:
+    def _observed(self, other: AnyActor) -> ObservedAgent:
         """Return what all see of an agent, which only its own turn changes."""
         number, count = other.number, self._moments
         if number not in self._seen:
@@ -278,8 +249,8 @@ class GivingWay:
         for number, was, at in zip(pair, self._clear.get(pair, ()), now, strict=False):
             if not _is_same(was, at):
                 return False
-            # no part of an agent is farther from its place than it reaches
-            moved += math.hypot(at[0] - was[0], at[1] - was[1]) + self._reach_m[number] * abs(at[2] - was[2])
+            # no part of an agent is farther from its place than twice its half of the gate, which is 2 m or more
+            moved += math.hypot(at[0] - was[0], at[1] - was[1]) + 2 * self._reach_m[number] * abs(at[2] - was[2])
         return pair in self._clear and moved < SPARE_M
 
     def _gate(self, actor: AnyActor, now: _Stance) -> None:

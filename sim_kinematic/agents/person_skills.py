@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -76,7 +76,7 @@ class PersonActor:
     """Index of the agent."""
     room: BodyClearance | None = None
     """Test of the room for the body; None: no test is made."""
-    others: Sequence[ObservedAgent] = ()
+    others: tuple[ObservedAgent, ...] = ()
     """Other agents to which the person gives way, the nearest first."""
     company: Company | None = None
     """Agents to which the person gives way, with access by number; None: the person is alone."""

@@ -126,16 +126,15 @@ class RightOfWay:
             was_x, was_z, was_heading = self._place[number]
             start = starts[number] = self._start(walker)
             # measured from where it last got on, not from step to step: an agent that sways on the spot makes no progress
-            moved = math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m
-            if moved or abs(wrap_angle(heading - was_heading)) > AVOIDANCE.progress_rad:
+            gone = math.hypot(x - was_x, z - was_z)
+            if gone > AVOIDANCE.progress_m or abs(wrap_angle(heading - was_heading)) > AVOIDANCE.progress_rad:
                 self._stalled[number] = self._still[number] = 0
                 self._place[number] = place
             self._still[number] += 1
             self._stalled[number] = self._stalled[number] + 1 if start is not None or walker.hindered_by else 0
             if number in self._requests:
                 self._requests[number].advance(walker)
-        over = [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]
-        for number in over:
+        for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
             request = self._requests.pop(number)
             starts[number] = self._start(self._walkers[number])
             if request.chose_at is not None and self._stand_offs is not None:
@@ -162,10 +161,7 @@ class RightOfWay:
 
     def _all_are_clear(self, starts: Mapping[int, list[float] | None]) -> bool:
         """Return whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
-        for other, me in self._pairs:
-            if self._may_block(other, me, starts):
-                return False
-        return True
+        return not any(self._may_block(other, me, starts) for other, me in self._pairs)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
     def _ranked(self, carrying: Sequence[int]) -> list[Walker]:

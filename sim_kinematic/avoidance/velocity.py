@@ -49,14 +49,13 @@ def try_command(sdf, origin, cell, pose, room, speed, turn, length, arc, others,
     """Roll out a command that is held for at most ``length`` [m] and ``arc`` [rad].
 
     Returns ``(x, z, heading, most lacking)``: the final pose, and the largest part of a margin that is lacking [m]. The
-    base stops where it would touch an obstacle, and has ``room`` [m] to the nearest one before it starts. The least gap to each other agent is written to ``gaps`` [N]; later
-    gaps count as wider by a rate [m/s]. The trial ends early when an agent already lacks ``enough`` of its margin.
+    base stops where it would touch an obstacle; at first it has ``room`` [m] to the nearest one. The least gap to each
+    other agent is written to ``gaps`` [N]; later gaps count as wider by a rate [m/s]. The trial ends early when an agent
+    already lacks ``enough`` of its margin.
     """
     (x, z, heading), (offsets, disc_radius), (steps, stride, doubt, dt) = pose, base, rules
     gaps[:] = math.inf
-    lacks, c, s, far = -math.inf, math.cos(heading), math.sin(heading), 0.0
-    for offset in offsets:
-        far = max(far, abs(offset))
+    lacks, c, s, far = -math.inf, math.cos(heading), math.sin(heading), np.abs(offsets).max()
     was_speed = was_turn = math.nan  # of a step that the floor has stopped
     for step in range(1, steps + 1):
         if abs(speed) * step * dt > length:

@@ -97,21 +97,12 @@ def waits(number: int, other: ObservedAgent) -> bool:
     return other.number < number and not stands(other)
 
 
-def all_beyond(here: list[float], others: Sequence[ObservedAgent], reach_m: float) -> bool:
-    """Return whether all agents are known to be farther from a point (x, z) than ``reach_m`` and twice their own extent."""
-    # the agents of a turn know this before anybody has observed them (`sim_kinematic.agents.giving_way`)
-    are_beyond = getattr(others, "are_beyond", None)
-    return not others if are_beyond is None else are_beyond(here, reach_m)
-
-
 def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[ObservedAgent]) -> ObservedAgent | None:
     """Return the nearest agent that blocks a person at ``xz`` [2] who walks straight ``towards`` [2]."""
     here = xz.tolist()
     # most agents are too far away to block anybody, whatever they do
     # Distance beyond which, added to twice the size of their own body, nobody is in a person's path [m].
     in_the_way_m = AVOIDANCE.ahead_m + 2 * (AVOIDANCE.person.radius_m + AVOIDANCE.moving_m)
-    if all_beyond(here, others, in_the_way_m):
-        return None
     others = [o for o in others if math.dist(here, o.xz.tolist()) <= in_the_way_m + 2 * o.footprint.extent_m]
     if not others:
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,15 +27,7 @@ from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import base_numbers, braking_speed, keep_clear
-from sim_kinematic.avoidance.yielding import (
-    NO_PATH,
-    ObservedAgent,
-    all_beyond,
-    avoided,
-    discs_of,
-    path_around,
-    retreat_place,
-)
+from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, avoided, discs_of, path_around, retreat_place
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import ROBOT, RobotState
@@ -70,7 +62,7 @@ class RobotDriver:
     """Test of the room for the robot's arm; None: no test is made."""
     avoids: bool = True
     """True if the robot's base keeps clear of other agents (`keep_clear`) in every skill."""
-    others: Sequence[ObservedAgent] = ()
+    others: tuple[ObservedAgent, ...] = ()
     """Other agents, the nearest first."""
     company: Company | None = None
     """Agents to which the robot gives way, with access by number; None: the robot is alone."""
@@ -381,8 +373,6 @@ class RobotDriver:
         One that holds something counts as moving, however long it has been standing.
         """
         xz, near = self.xz.tolist(), []
-        if all_beyond(xz, self.others, AVOIDANCE.range_m):
-            return near
         for other in self.others:
             if math.dist(xz, other.xz.tolist()) <= AVOIDANCE.range_m + other.footprint.extent_m:
                 if other.settled and self.objects.held(other.number) >= 0:
