@@ -190,22 +190,9 @@ def held_close(
     ``hand`` is the position of the hand when it is held out: ahead of the body and to its right [m]. The person looks
     ahead as far as they turn and walk, at the limits of ``spec``, while the arm comes in at ``rules.rate`` per step.
     """
-    return _held_close(
-        free.sdf,
-        free.origin,
-        free.cell_m,
-        xz[0],
-        xz[1],
-        heading,
-        hand[0],
-        hand[1],
-        rules.rate / (spec.turn_rad_s * STEP_S),
-        rules.rate / (spec.speed_mps * STEP_S),
-        CARRY_FREE_M,
-        CARRY_TIGHT_M,
-        FAN,
-        ONWARD,
-    )
+    rates = rules.rate / (spec.turn_rad_s * STEP_S), rules.rate / (spec.speed_mps * STEP_S)
+    where = free.sdf, free.origin, free.cell_m, *xz.tolist(), float(heading), *hand
+    return free.entries(_held_close, *where, *rates, CARRY_FREE_M, CARRY_TIGHT_M, FAN, ONWARD)
 
 
 @lru_cache(maxsize=64)

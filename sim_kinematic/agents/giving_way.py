@@ -35,6 +35,10 @@ from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 AnyActor = RobotActor | PersonActor
 _CALL = Entries()
 _STILL = AVOIDANCE.still_steps, AVOIDANCE.still_m
+_Stance = tuple[float, float, float, Any]
+SPARE_M = 0.3
+"""Distance beyond that of contact within which agents may go on without another test of their capsules [m]: a step of a robot
+is at most 8 cm and 5 degrees."""
 
 
 class GivingWay:
@@ -87,13 +91,15 @@ class GivingWay:
         if in_clips:
             people = {k: clip_reach(body) for k, body in enumerate(self.bodies) if not isinstance(body, Robot)}
             self._reach_m = [min(people.get(k, reach), reach) for k, reach in enumerate(self._reach_m)]
-        self._posed: dict[int, tuple[Any, Any]] = {}
-        self._gated: dict[int, tuple[Any, Any]] = {}
-        """Postures to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
+        self._posed: dict[int, _Stance] = {}
+        self._gated: dict[int, _Stance] = {}
+        """Stances to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
+        self._clear: dict[tuple[int, int], tuple[_Stance, _Stance]] = {}
+        """Stances in which the capsules of a pair were last farther apart than they have to be by `SPARE_M`."""
         self._acted: set[int] = set()
         """Agents that have acted in this step."""
-        self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
-        """Place of each agent; for the agent whose turn it is, the place before that."""
+        self.at: list[list[float]] = [actor.xz.tolist() for actor in actors]
+        """Place (x, z) of each agent; for the agent whose turn it is, the place before that."""
         self._seen: dict[int, ObservedAgent] = {}
         """Agents as others see them, computed for agents that others have observed since their last action."""
         self._settled = np.zeros(len(actors), np.bool_)
@@ -160,7 +166,7 @@ class GivingWay:
         """Note that an agent has acted and has moved."""
         self._acted.add(number)
         self._seen.pop(number, None)
-        self._at[number] = self.actors[number].xz.tolist()
+        self.at[number] = self.actors[number].xz.tolist()
 
     def meets(self, me: AnyActor) -> bool:
         """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
@@ -209,37 +215,56 @@ class GivingWay:
         self._moments += 1
         self._acted.clear()
         self._seen.clear()
-        self._at = [actor.xz.tolist() for actor in self.actors]
-        _CALL(_note, self._places, self._moments, np.array(self._at), self._settled, *_STILL)
-        self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
+        self.at = [actor.xz.tolist() for actor in self.actors]
+        _CALL(_note, self._places, self._moments, np.array(self.at), self._settled, *_STILL)
+        self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self.at[a], b) and self._touch(a, b)]
 
     def _is_near(self, a: int, here: list[float], b: int) -> bool:
         """Return whether an agent at (x, z) could touch another with their arms stretched out."""
-        return math.dist(here, self._at[b]) <= self._reach_m[a] + self._reach_m[b]
+        return math.dist(here, self.at[b]) <= self._reach_m[a] + self._reach_m[b]
 
     def _touch(self, a: int, b: int) -> bool:
         """Return whether two agents touch as they are now."""
-        self._gate(self.actors[a])
-        self._gate(self.actors[b])
+        one, other = self.actors[a], self.actors[b]
+        now = _stance(one), _stance(other)
+        # stairs tilt and lift robots, which the bound does not know
+        level = not (one.free.has_stairs or other.free.has_stairs)
+        if level and self._stays_clear((a, b), now):
+            return False
+        self._gate(one, now[0])
+        self._gate(other, now[1])
         # capsules first, at a tenth of the cost of posing the shapes; they almost always decide
+        if not may_touch(self._capsules[a], self._capsules[b], SPARE_M):
+            self._clear[a, b] = now
+            return False
         if not may_touch(self._capsules[a], self._capsules[b]):
             return False
-        self._pose(self.actors[a])
-        self._pose(self.actors[b])
+        self._pose(one, now[0])
+        self._pose(other, now[1])
         return self._contacts.collides(a, b)
 
-    def _gate(self, actor: AnyActor) -> None:
+    def _stays_clear(self, pair: tuple[int, int], now: tuple[_Stance, _Stance]) -> bool:
+        """Return whether two agents who were far enough apart have kept their postures, and have hardly moved since."""
+        moved = 0.0
+        for number, was, at in zip(pair, self._clear.get(pair, ()), now, strict=False):
+            if not _is_same(was, at):
+                return False
+            # no part of an agent is farther from its place than twice its half of the gate, which is 2 m or more
+            moved += math.hypot(at[0] - was[0], at[1] - was[1]) + 2 * self._reach_m[number] * abs(at[2] - was[2])
+        return pair in self._clear and moved < SPARE_M
+
+    def _gate(self, actor: AnyActor, now: _Stance) -> None:
         """Move the capsules around an agent to its present pose."""
-        if not _has_changed(actor, self._gated):
+        if not _has_changed(actor.number, now, self._gated):
             return
         if isinstance(actor, RobotActor):
             self._capsules[actor.number].pose(actor.pose, actor.joints)
         else:
             self._capsules[actor.number].pose(actor.person.base, actor.person.quats, actor.person.pelvis)
 
-    def _pose(self, actor: AnyActor) -> None:
+    def _pose(self, actor: AnyActor, now: _Stance) -> None:
         """Bring an agent's shapes to where recordings, which are float32, put them."""
-        if not _has_changed(actor, self._posed):
+        if not _has_changed(actor.number, now, self._posed):
             return
         body = self.bodies[actor.number]
         if isinstance(actor, RobotActor):
@@ -250,18 +275,25 @@ class GivingWay:
         self._contacts.update(actor.number, shape_frames(body, posed)[0])
 
 
-def _has_changed(actor: AnyActor, kept: dict[int, tuple[Any, Any]]) -> bool:
-    """Return whether an agent's posture differs from the one that is ``kept`` of it, and keep it."""
-    place, quats = (*actor.xz.tolist(), actor.heading), None
-    if isinstance(actor, RobotActor):
-        # by value, because a robot's joints are changed in place
-        place = (*place, actor.joints.tobytes())
-    else:
-        quats = actor.person.quats  # whatever poses a person makes a new array
-    was = kept.get(actor.number)
-    if was is not None and was[0] == place and was[1] is quats:
+def _stance(actor: AnyActor) -> _Stance:
+    """Return the place (x, z, heading) of an agent, and what tells its present posture from others."""
+    # by value of robots, whose joints are changed in place; whatever poses a person makes a new array
+    posture = actor.joints.tobytes() if isinstance(actor, RobotActor) else actor.person.quats
+    x, z = actor.xz.tolist()
+    return x, z, actor.heading, posture
+
+
+def _is_same(was: _Stance, now: _Stance) -> bool:
+    """Return whether two stances of one agent have the same posture, anywhere."""
+    return was[3] is now[3] or (isinstance(now[3], bytes) and was[3] == now[3])
+
+
+def _has_changed(number: int, now: _Stance, kept: dict[int, _Stance]) -> bool:
+    """Return whether an agent's stance differs from the one that is ``kept`` of it, and keep it."""
+    was = kept.get(number)
+    if was is not None and was[:3] == now[:3] and _is_same(was, now):
         return False
-    kept[actor.number] = place, quats
+    kept[number] = now
     return True
 
 

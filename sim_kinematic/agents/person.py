@@ -214,6 +214,7 @@ class Person:
         (`h3data.bodies.people.kernels.attention`) [rad]."""
         self._to_turn = 0.0
         self._closing: dict[Hand, float] = {}
+        self._carry_points: dict[Hand, Array] = {}
         self._carry_arms: dict[Hand, Array] = {}
         self._carried: dict[Hand, tuple[float, Array]] = {}
         """Rotations of arms that hold something out, and at their last closeness to the body."""
@@ -228,7 +229,7 @@ class Person:
     def base(self, pose: Array) -> None:
         self._base = pose
         # in place, because `spot` and `_drawn` look at the same arrays
-        self.state.xz[0, 0], self.state.xz[0, 1] = pose[0], pose[2]
+        self.spot[0], _, self.spot[1], *_ = pose.tolist()
         self.state.heading[0] = heading_from_quat(pose[3:])
 
     @property
@@ -262,7 +263,7 @@ class Person:
         for hand, held in self.held.items():
             self.objects[held.name] = pose = np.empty(7)
             # the place is rigid with the palm, the rotation is not: what stood upright keeps upright
-            self.call(hold, *self._wrist(hand), held.grip, self.upright(held), float(self.tilts[hand]), pose)
+            self.call(hold, *self._wrist(hand), held.grip, self.heading, held.stood, float(self.tilts[hand]), pose)
 
     @property
     def joint_matrices(self) -> Array:
@@ -477,8 +478,10 @@ class Person:
         return self._line(hand, self._path_out(hand, target), (0.0, 1.0), (0.0, 1.0))[0]
 
     def _carry_point(self, hand: Hand) -> Array:
-        side = 1.0 if hand == "right" else -1.0
-        return np.array(CARRY) * (1, 1, side) * reacher(self.body, hand).body.scale
+        if hand not in self._carry_points:
+            side = 1.0 if hand == "right" else -1.0
+            self._carry_points[hand] = np.array(CARRY) * (1, 1, side) * reacher(self.body, hand).body.scale
+        return self._carry_points[hand]
 
     def _path_out(self, hand: Hand, target: Array) -> Array:
         """Return corners of the hand's way to a target: in front of the chest first, unless the target is low."""

@@ -124,15 +124,14 @@ class RightOfWay:
         for number, walker in self._walkers.items():
             place = x, z, heading = _place(walker)
             was_x, was_z, was_heading = self._place[number]
-            turned = abs(wrap_angle(heading - was_heading))
-            starts[number] = self._start(walker)
+            start = starts[number] = self._start(walker)
             # measured from where it last got on, not from step to step: an agent that sways on the spot makes no progress
-            if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
+            gone = math.hypot(x - was_x, z - was_z)
+            if gone > AVOIDANCE.progress_m or abs(wrap_angle(heading - was_heading)) > AVOIDANCE.progress_rad:
                 self._stalled[number] = self._still[number] = 0
                 self._place[number] = place
             self._still[number] += 1
-            wants = starts[number] is not None or walker.hindered_by
-            self._stalled[number] = self._stalled[number] + 1 if wants else 0
+            self._stalled[number] = self._stalled[number] + 1 if start is not None or walker.hindered_by else 0
             if number in self._requests:
                 self._requests[number].advance(walker)
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:

@@ -21,7 +21,7 @@ from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import RobotState
-from sim_kinematic.motion.step import are_clear, drive_worlds, integrate_along, wrap_angle
+from sim_kinematic.motion.step import clearance_along, drive_worlds, integrate_along, least_clearance, wrap_angle
 
 # standing still comes first: of equal commands the first one wins
 _CANDIDATES = np.array([(0.0, 0.0), *itertools.product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=2)])
@@ -45,26 +45,37 @@ def gap_along(x, z, c, s, other_x, other_z, hull, reach):
 
 
 @kernel(error_model="numpy")
-def try_command(sdf, origin, cell, pose, speed, turn, length, arc, others, base, hull, rules, enough, gaps):
+def try_command(sdf, origin, cell, pose, room, speed, turn, length, arc, others, base, hull, rules, enough, gaps):
     """Roll out a command that is held for at most ``length`` [m] and ``arc`` [rad].
 
     Returns ``(x, z, heading, most lacking)``: the final pose, and the largest part of a margin that is lacking [m]. The
-    base stops where it would touch an obstacle. The least gap to each other agent is written to ``gaps`` [N]; later
-    gaps count as wider by a rate [m/s]. The trial ends early when an agent already lacks ``enough`` of its margin.
+    base stops where it would touch an obstacle; at first it has ``room`` [m] to the nearest one. The least gap to each
+    other agent is written to ``gaps`` [N]; later gaps count as wider by a rate [m/s]. The trial ends early when an agent
+    already lacks ``enough`` of its margin.
     """
     (x, z, heading), (offsets, disc_radius), (steps, stride, doubt, dt) = pose, base, rules
     gaps[:] = math.inf
-    lacks, c, s = -math.inf, math.cos(heading), math.sin(heading)
+    lacks, c, s, far = -math.inf, math.cos(heading), math.sin(heading), np.abs(offsets).max()
+    was_speed = was_turn = math.nan  # of a step that the floor has stopped
     for step in range(1, steps + 1):
         if abs(speed) * step * dt > length:
             speed = 0.0
         # rounded to the nearest step, so that a turn neither stops short nor overshoots by a whole one
         if abs(turn) * (step - 0.5) * dt > arc:
             turn = 0.0
-        nx, nz, nh = integrate_along(x, z, heading, c, s, speed, 0.0, turn, dt)
-        nc, ns = (math.cos(nh), math.sin(nh)) if turn != 0.0 else (c, s)
-        if are_clear(sdf, origin, cell, nx, nz, nc, ns, offsets, disc_radius):
-            x, z, heading, c, s = nx, nz, nh, nc, ns
+        # the same step from the same place is stopped again
+        if speed != was_speed or turn != was_turn:
+            nx, nz, nh = integrate_along(x, z, heading, c, s, speed, 0.0, turn, dt)
+            nc, ns = (math.cos(nh), math.sin(nh)) if turn != 0.0 else (c, s)
+            # the signed distance changes by up to the square root of 2 per metre between its samples: it is looked up
+            # only where there may be no room any more
+            room -= math.sqrt(2.0) * dt * (abs(speed) + abs(turn) * far) + 1e-9
+            if room <= 0.0:
+                room = clearance_along(sdf, origin, cell, nx, nz, nc, ns, offsets) - disc_radius
+            if room >= 0.0:
+                x, z, heading, c, s = nx, nz, nh, nc, ns
+            else:
+                was_speed, was_turn = speed, turn
         if step % stride == 0:
             t = step * dt
             for n in range(len(others)):
@@ -87,23 +98,26 @@ def choose_command(
     is the last candidate, or NaN if it does not count. ``gaps`` [N] is a work array.
     """
     (max_speed, max_turn), (still_margin, gap_weight, heading_weight, turn_weight, change_weight) = limits, costs
+    room = least_clearance(sdf, origin, cell, pose[0], pose[1], pose[2], base[0]) - base[1]
     # a robot that stands too near to somebody already could not leave if it had to keep more than it has
     if others[:, 6].any():
         forward, turn = _CANDIDATES[0, 0] * max_speed, _CANDIDATES[0, 1] * max_turn  # of standing still
         try_command(
-            sdf, origin, cell, pose, forward, turn, math.inf, math.inf, others, base, hull, rules, math.inf, gaps
+            sdf, origin, cell, pose, room, forward, turn, math.inf, math.inf, others, base, hull, rules, math.inf, gaps
         )
         for n in range(len(others)):
             if others[n, 6] != 0.0:
                 others[n, 5] = min(still_margin, gaps[n])
     forward, turn = wanted[0] * max_speed, wanted[1] * max_turn
     _, _, _, lacks = try_command(
-        sdf, origin, cell, pose, forward, turn, length, arc, others, base, hull, rules, 0.0, gaps
+        sdf, origin, cell, pose, room, forward, turn, length, arc, others, base, hull, rules, 0.0, gaps
     )
     if lacks <= 0.0:
         return -1
     best, least, counts = -1, math.inf, not math.isnan(before[0])
-    for c in range(len(_CANDIDATES) + counts):
+    for n in range(len(_CANDIDATES) + counts):
+        # the last command first: it is often good, and what is worse is left the sooner
+        c = n - counts if n >= counts else len(_CANDIDATES)
         forward, turn = (_CANDIDATES[c, 0], _CANDIDATES[c, 1]) if c < len(_CANDIDATES) else before
         # only the worst gap counts: more room on one side must not make up for less on the other
         x, z, heading, lacks = try_command(
@@ -111,6 +125,7 @@ def choose_command(
             origin,
             cell,
             pose,
+            room,
             forward * max_speed,
             turn * max_turn,
             math.inf,
@@ -128,7 +143,8 @@ def choose_command(
         cost += turn_weight * abs(turn)
         if counts:
             cost += change_weight * (abs(turn - before[1]) + abs(forward - before[0]))
-        if cost < least:
+        # of equal ones the first in the table, in whatever order they are tried
+        if cost < least or (cost == least and c < best):
             best, least = c, cost
     return best
 

@@ -39,14 +39,14 @@ class AgentCapsules:
         self._call(self._kernel, base, *(part[None] for part in posture), *self._args, self._frames, self.ends)
 
 
-def may_touch(a: AgentCapsules, b: AgentCapsules) -> bool:
+def may_touch(a: AgentCapsules, b: AgentCapsules, spare_m: float = 0.0) -> bool:
     """Return whether two agents are close enough that `AgentContacts` has to test them.
 
-    This is so if two of their capsules are within twice `NEAR_M`.
+    This is so if two of their capsules are within twice `NEAR_M` and ``spare_m`` [m].
     """
     # distance of capsules from which `AgentContacts` decides: more than its own `NEAR_M`, as it gets poses
     # rounded to float32
-    margin_m = 2 * NEAR_M
+    margin_m = 2 * NEAR_M + spare_m
     return bool(any_near(a.ends, a.radii, b.ends, b.radii, margin_m))
 
 

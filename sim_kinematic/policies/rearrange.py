@@ -18,7 +18,7 @@ from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.learned import SHIPPED_HELPERS, SHIPPED_PARTNERS
-from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.policies.views import CloseView, RearrangeView
 
 PLANS: dict[str, tuple[int, ...]] = {"still": (), "object_1": (0,), "object_2": (1,), "both": (0, 1)}
 """Planners by name, with the objects that each rearranges."""
@@ -178,6 +178,12 @@ class Chooser:
         chosen = int(held[0]) if len(held) else self.prefer(view, self._left(view))
         self._object = -1 if chosen is None else chosen
         return Action("wait", steps=5) if chosen is None else errand(view, chosen)
+
+    def may_interrupt(self, glance: CloseView) -> bool:
+        """Return whether `interrupts` has to be asked: a view takes as long as a tenth of a step."""
+        if glance.action.skill == "nav_to_object":
+            return glance.held_by_other or glance.close or glance.step % REPLAN_STEPS == 0
+        return glance.action.skill == "pick" and glance.held_by_other
 
     def interrupts(self, view: RearrangeView) -> str:
         """Return the reason to interrupt the running action, such as ``object_taken``; empty if there is none."""

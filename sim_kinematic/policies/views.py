@@ -99,11 +99,18 @@ class SocialNavView(NamedTuple):
 
 
 class CloseView(NamedTuple):
-    """Reduced observation of policies with ``interrupts_only_when_close``, with which they may interrupt a skill."""
+    """Reduced observation, with which policies with ``interrupts_only_when_close`` may interrupt a skill.
+
+    A policy with a method ``may_interrupt(close_view)`` is asked to interrupt only where that returns True.
+    """
 
     action: Action
     """Skill that is running."""
     close: bool = True
+    """True if the other agent is inside the ellipse in which skills may be interrupted."""
+    step: int = 0
+    held_by_other: bool = False
+    """True if another agent holds the object of the skill."""
 
 
 class RearrangeView(NamedTuple):

@@ -365,7 +365,7 @@ class RobotDriver:
         """Return by how much the robot must turn to have a floor point [2] at a bearing to its left [rad]."""
         (x, z), (goal_x, goal_z) = self.xz.tolist(), xz.tolist()
         dx, dz = goal_x - x, goal_z - z
-        return float(wrap_angle(np.arctan2(-dz, dx) - bearing - self.heading))
+        return float(wrap_angle(float(np.arctan2(-dz, dx)) - bearing - self.heading))
 
     def _seen(self) -> list[ObservedAgent]:
         """Return the other agents that are near enough for `keep_clear`.

@@ -131,6 +131,10 @@ class Household(Team):
         self.bodies = np.append(body_indices(episode), -1)
         self.at_goal = self._at_goal()
         self._places: list[list[float]] = episode.starts.tolist()
+        # views: a step changes the arrays of a world in place
+        self._before, self._now = (
+            [(own.xz[0], own.heading) for own in moment.agents] for moment in (play.world.before, state)
+        )
         self._look()
 
     def _introduced(self) -> GivingWay:
@@ -343,12 +347,22 @@ class Household(Team):
         policy = self.play.policies[number].policy
         rests = self.play.step % getattr(policy, "interrupts_every", 1)
         interrupts = None if controller.is_free or rests else getattr(policy, "interrupts", None)
+        if interrupts is None:
+            return
         # most of the time nobody is close, and a view takes far longer than to find that out
         needs_view = not getattr(policy, "interrupts_only_when_close", False)
-        if interrupts is None or not (needs_view or self._is_close(number)):
+        glance = CloseView(controller.action, self._is_close(number), self.play.step, self._is_taken(controller))
+        # what an agent knows that has not seen everything only a view tells
+        may_interrupt = getattr(policy, "may_interrupt", None) if self.objects.sight is None else None
+        if not (glance.close or needs_view) or not (may_interrupt is None or may_interrupt(glance)):
             return
-        if reason := interrupts(self.play.view(number) if needs_view else CloseView(controller.action)):
+        if reason := interrupts(self.play.view(number) if needs_view else glance):
             controller.interrupt(reason)
+
+    def _is_taken(self, controller: SkillController) -> bool:
+        """Return whether another agent holds the object of a running skill."""
+        k, held_by = controller.action.target, self.objects.held_by
+        return 0 <= k < len(held_by) and held_by.item(k) not in (NOBODY, controller.number)
 
     def end_turn(self, number: int) -> None:
         """Note that an agent has moved."""
@@ -356,10 +370,9 @@ class Household(Team):
 
     def note_places(self) -> None:
         """Store the present poses of all agents, and those of the last call in `World.before`."""
-        world = self.play.world
-        for was, place in zip(world.before.agents, self._places, strict=True):
-            was.xz[0, 0], was.xz[0, 1], was.heading[0] = place
-        self._places = [[*own.xz[0].tolist(), own.heading.item(0)] for own in world.state.agents]
+        for (xz, heading), place in zip(self._before, self._places, strict=True):
+            xz[0], xz[1], heading[0] = place
+        self._places = [[*xz.tolist(), heading.item(0)] for xz, heading in self._now]
 
     def move(self, commands: Sequence[Command | None]) -> None:
         """Complete a step in which the agents have moved one after the other."""
@@ -473,6 +486,8 @@ class Household(Team):
         me, other, (a, b) = self.actors[agent], self.company.nearest(agent), self.episode.spec.near_m
         if other < 0:
             return False
+        if math.dist(me.xz.tolist(), self.company.at[other]) > max(a, b) + 1e-6:
+            return False  # nearly always; the cosines below take longer
         ahead, aside = _seen(me.xz, me.heading, self.actors[other].xz)
         return (ahead / a) ** 2 + (aside / b) ** 2 < 1
 

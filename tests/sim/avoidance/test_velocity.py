@@ -19,9 +19,10 @@ from sim_kinematic.avoidance.velocity import (
     crowding,
     keep_clear,
     least_gap,
+    try_command,
 )
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
-from sim_kinematic.motion.step import drive_robots
+from sim_kinematic.motion.step import drive_robots, integrate, is_clear, least_clearance
 from tests.sim.avoidance.commands import kept_clear, reference, standing
 
 COMMANDS = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
@@ -65,6 +66,27 @@ def test_a_step_has_the_bits_of_its_parts(seed: int, count: int, eases: bool, co
     assert np.array(given).tobytes() == np.array(result).tobytes()
     for mine, theirs in zip(robot.arrays(), expected.arrays(), strict=True):
         assert mine.tobytes() == theirs.tobytes()
+
+
+@given(st.integers(0, 10_000), COMMANDS, st.booleans())
+def test_a_roll_out_stops_where_the_floor_ends(seed: int, command: tuple, ends: bool) -> None:
+    """A trial looks the floor up only where there may be no room; the reference does so at every step."""
+    free, rng = roomy()[0], np.random.default_rng(seed)
+    offsets, hull = np.array(HOME_BASE.disc_offsets_m), np.array(hull_of(HOME_BASE))
+    (x, z), heading = free.sample(rng, 1)[0].tolist(), float(rng.uniform(-4, 4))
+    speed, turn = command[0] * HOME_BASE.max_speed_mps, command[1] * HOME_BASE.max_turn_rad_s
+    length, arc = (0.6, 0.5) if ends else (np.inf, np.inf)
+    grid, radius, others = (free.sdf, free.origin, free.cell_m), HOME_BASE.disc_radius_m - 2e-3, np.zeros((0, 7))
+    room = least_clearance(*grid, x, z, heading, offsets) - radius
+    rules = AVOIDANCE.horizon_steps, AVOIDANCE.stride_steps, AVOIDANCE.doubt_mps, STEP_S
+    told = others, (offsets, radius), hull, rules, np.inf, np.empty(0)
+    given = try_command(*grid, (x, z, heading), room, speed, turn, length, arc, *told)
+    for step in range(1, AVOIDANCE.horizon_steps + 1):
+        speed = 0.0 if abs(speed) * step * STEP_S > length else speed
+        turn = 0.0 if abs(turn) * (step - 0.5) * STEP_S > arc else turn
+        there = integrate(x, z, heading, speed, 0.0, turn, STEP_S)
+        x, z, heading = there if is_clear(*grid, *there, offsets, radius) else (x, z, heading)
+    assert given[:3] == (x, z, heading)
 
 
 @given(COMMANDS, COMMANDS, st.sampled_from([HOME_BASE, BaseSpec(max_speed_mps=0.6, max_turn_rad_s=1.0)]))

@@ -12,8 +12,12 @@ import h3data
 from h3data.bodies.people.kernels.planted import SPEED
 from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
+from sim_kinematic.agents.giving_way import GivingWay
 from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.contact.body_capsules import AgentCapsules, may_touch
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
+from sim_kinematic.policies.rearrange import Chooser
+from sim_kinematic.policies.views import CloseView, RearrangeView
 from sim_kinematic.tasks.rearrange.codec import rules_from_json, rules_to_json
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.runner import rollout, run
@@ -66,6 +70,47 @@ def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -
         spans = np.diff(np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]))))[::2]
         assert spans.max(initial=0) <= 2 * AVOIDANCE.lasts_steps, "asked at most twice in a row"
     assert not play.world.touching.any()
+
+
+def test_agents_who_stay_clear_do_not_touch(home: Scene, free: FreeSpace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a bound replaces the test of capsules, the test would have said the same."""
+    stays_clear, spared = GivingWay._stays_clear, []
+
+    def looks(self: GivingWay, pair: tuple[int, int], now: tuple) -> bool:
+        clear = stays_clear(self, pair, now)
+        if clear:
+            capsules = [AgentCapsules(body) for body in self.bodies]
+            capsules[0].pose(self.actors[0].pose, self.actors[0].joints)
+            person = self.actors[1].person
+            capsules[1].pose(person.base, person.quats, person.pelvis)
+            spared.append(may_touch(*capsules))
+        return clear
+
+    monkeypatch.setattr(GivingWay, "_stays_clear", looks)
+    play = rollout(REARRANGE, rearrange_episode(home, seed=0, free=free), {"robot": "greedy_nearest", "human": "both"})
+    run(play, steps=300)
+    assert len(spared) > 20
+    assert not any(spared)
+
+
+def test_a_robot_is_asked_wherever_it_would_interrupt(home: Scene, free: FreeSpace) -> None:
+    reasons = []
+
+    class Watched(Chooser):
+        def may_interrupt(self, glance: CloseView) -> bool:
+            self.may = super().may_interrupt(glance)
+            return True
+
+        def interrupts(self, view: RearrangeView) -> str:
+            reason = super().interrupts(view)
+            reasons.append(reason)
+            assert self.may or not reason
+            return reason
+
+    robot = Watched(lambda view, left: max(left, default=None) if view.step // 30 % 2 else min(left, default=None))
+    episode = rearrange_episode(home, seed=1, free=free)
+    run(rollout(REARRANGE, episode, {"robot": robot, "human": "both"}), steps=160)
+    assert any(reasons)
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from h3data.bodies.people.kernels.clips import write_frame
 from h3data.bodies.people.kernels.tuple_math import multiply, nlerp, normalized, put, row4, turned
 from h3data.kernels import kernel, kernel_part
@@ -31,7 +33,7 @@ def frame_of_joint(base, quats, pelvis, offsets, chain, frame):
 
 
 @kernel(error_model="numpy")
-def hold(frame, place, grip, upright, tilt, out):
+def hold(frame, place, grip, heading, stood, tilt, out):
     """Write the pose7 of a held object to ``out`` [7].
 
     The object moves rigidly with a palm, except that its rotation is blended.
@@ -40,7 +42,8 @@ def hold(frame, place, grip, upright, tilt, out):
         frame: frame of the wrist [4, 4].
         place: position of the palm in the frame of the wrist [3] [m].
         grip: pose7 of the object in the palm's frame [7].
-        upright: rotation [4] of the object while it stays upright.
+        heading: heading of the person [rad].
+        stood: rotation [4] of the object relative to the heading while it stays upright.
         tilt: share of the palm's own rotation, 0 to 1.
         out: the result [7].
     """
@@ -48,7 +51,8 @@ def hold(frame, place, grip, upright, tilt, out):
     x, y, z = turned(turn, (grip[0], grip[1], grip[2]))
     out[0], out[1], out[2] = place[0] + x, place[1] + y, place[2] + z
     own = multiply(turn, (grip[3], grip[4], grip[5], grip[6]))
-    out[3], out[4], out[5], out[6] = nlerp((upright[0], upright[1], upright[2], upright[3]), own, tilt)
+    facing = (0.0, math.sin(heading / 2), 0.0, math.cos(heading / 2))
+    out[3], out[4], out[5], out[6] = nlerp(multiply(facing, row4(stood.reshape(1, 4), 0)), own, tilt)
 
 
 @kernel_part()
