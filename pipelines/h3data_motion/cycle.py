@@ -141,7 +141,7 @@ def trim_to_cycle(motion: Motion, body: Humanoid, *, min_s: float = 0.5, max_s: 
 
 
 def _straightened(quats: Array, pelvis: Array, turn: float, share: Array) -> tuple[Array, Array, float]:
-    """Return rotations [F + 1, 55, 4] and places [F + 1, 3] without net ``turn`` and travel, and the stride."""
+    """Return rotations [F + 1, 55, 4] and places [F + 1, 3] without net ``turn`` [rad] and travel, and stride [m]."""
     back = quat_from_heading(-turn * share)
     quats = quats.copy()
     quats[:, 0] = quat_multiply(back, quats[:, 0])
