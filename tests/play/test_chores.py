@@ -123,7 +123,7 @@ def test_a_session_with_chores_is_simulated_again_bit_for_bit(played: Any, tmp_p
     again = read_mcap(tmp_path / "played.mcap")
     number, steps = player.driver.number, np.arange(0, len(recording), 31)
     frames = [Replay(each).joint_matrices(number, steps) for each in (recording, again)]
-    np.testing.assert_array_equal(*frames)
+    np.testing.assert_array_equal(frames[0], frames[1])
     assert verify(again).difference is None
     file = tmp_path / "played.gfx_replay.json"
     write_gfx_replay(recording, posed_parts(Replay(recording)), file)
