@@ -87,7 +87,6 @@ def furnish_den(rng: np.random.Generator, style: Style, state: RoomState, dining
 
 def furnish_library(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a library with shelves along the walls, seats in the middle, and a desk."""
-    del dining
     need(place_at_wall(rng, state, in_a_row([living.shelf(rng, style)] * 2), middle=True), "shelves", state)
     place_talk(rng, style, state)
     for count in (4, 3, 3, 2):
@@ -101,7 +100,6 @@ def furnish_library(rng: np.random.Generator, style: Style, state: RoomState, di
 
 def furnish_office(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish an office with desks, shelves and seats for visitors."""
-    del dining
     need(place_desk(rng, style, state), "desk", state)
     if state.room.area > 20:
         place_desk(rng, style, state)
@@ -118,7 +116,6 @@ def furnish_office(rng: np.random.Generator, style: Style, state: RoomState, din
 # --- dining room ------------------------------------------------------------------------------------------------------
 def furnish_dining(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a dining room with a long table, sideboards, and shelves for dishes."""
-    del dining
     need(place_dining(rng, style, state, seats=(8, 6, 4)), "dining table", state)
     for _ in range(2):
         place_single(rng, state, living.console(rng, style), middle=True)
@@ -133,7 +130,6 @@ def furnish_dining(rng: np.random.Generator, style: Style, state: RoomState, din
 # --- laundry, pantry --------------------------------------------------------------------------------------------------
 def furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a laundry with a row of machines, a sink and a counter, and with shelves."""
-    del dining
     machine, sink = bath.washer(rng, style), kitchen.counter(rng, style, kitchen.SINK_WIDTH, "sink")
     side = kitchen.counter(rng, style, 0.6)
     for pieces in ([machine, machine, sink, side], [machine, machine, sink], [machine, machine], [machine]):
@@ -146,7 +142,6 @@ def furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, di
 
 def furnish_pantry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a pantry with shelves along the walls."""
-    del dining
     for count in (3, 3, 2):
         place_shelves(rng, style, state, count)
 
@@ -234,7 +229,6 @@ def _bed_group(rng: np.random.Generator, style: Style, width: float, tables: int
 
 def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a bedroom with bed, nightstands, wardrobe, and, if space permits, desk with chair, shelf and plant."""
-    del dining
     large = state.room.area > 26
     main = large or not state.room.name.endswith(("_2", "_3"))
     wide = 1.6 if main else float(rng.choice([0.95, 1.0, 1.2]))
@@ -269,7 +263,6 @@ def _bedroom_extras(rng: np.random.Generator, style: Style, state: RoomState) ->
 # --- bathrooms, hall --------------------------------------------------------------------------------------------------
 def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a bathroom with bathtub or shower, basin with mirror, toilet and mat."""
-    del dining
     first = rng.random() < 0.6 or state.room.area > 6.5
     done = place_single(rng, state, bath.bathtub(rng, style), corner=True) if first else None
     if done is None:
@@ -300,7 +293,6 @@ def _mirror(rng: np.random.Generator, style: Style, state: RoomState, basin: Pla
 
 def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a hall with a shoe cabinet, a plant, pictures and a runner; long galleries get several of each."""
-    del dining
     _runner(rng, style, state, least_m=1.3)
     for _ in range(int(state.room.area // 20)):
         place_single(rng, state, living.bench(rng, style))

@@ -400,7 +400,6 @@ class Idle:
 
     def act(self, view: RearrangeView) -> Action:
         """Return the skill ``wait``."""
-        del view
         return Action("wait")
 
 

@@ -20,14 +20,12 @@ LATE = 600
 
 def nearest_quiet(task: Any, episode: Any, number: int) -> Any:
     """Return a planner that brings the nearest remaining object."""
-    del task, number
     policy = robot_policy("greedy_nearest")
     return Seeking(policy) if episode.spec.observe == "seen" else policy
 
 
 def nearest_talk(task: Any, episode: Any, number: int) -> Any:
     """Return a planner that also announces what it takes and sees, and uses the announcements of others."""
-    del task
     return Teller(episode, number)
 
 

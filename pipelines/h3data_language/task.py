@@ -134,12 +134,10 @@ class LanguageCodec(RearrangeCodec):
 
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """Return the reason why the episode ended."""
-        del episode, policies
         return {"ended": play.ended}
 
     def precompute(self, episode: Episode) -> dict[str, Any]:
         """Return nothing, because no value takes long to compute."""
-        del episode
         return {}
 
 
@@ -313,7 +311,6 @@ class Language(Rearrange):
 
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
         """Return the maker of an expert, or of a policy that stands still, or None for other names."""
-        del spec
         if name not in EXPERTS:
             return None
 

@@ -75,7 +75,6 @@ class RecordedEndpoint:
         Raises:
             LanguageModelError: all recorded answers have been used.
         """
-        del body
         if not self._left:
             raise LanguageModelError("The recording has no further answers.", code="H3-LLM-028")
         decision = self._left.pop(0)

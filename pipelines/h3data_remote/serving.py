@@ -56,7 +56,6 @@ class ObservedView:
         Raises:
             PolicyServerError: the request lacks an observation.
         """
-        del size, light
         lacks = [name for name in names if name not in self._entries]
         if lacks:
             raise PolicyServerError(
@@ -81,7 +80,6 @@ class _ServedNavigation(LearnedNavigation):
     """A network without pictures, by named observations."""
 
     def look(self, view: Any, spec: Any) -> NDArray[np.float32]:
-        del spec
         shown = view.observe(self.network.observations)
         return np.concatenate([np.ravel(values) for values in shown.values()]).astype(np.float32)
 
@@ -90,7 +88,6 @@ class _ServedVisualNavigation(VisualNavigation):
     """A network with pictures, by named observations."""
 
     def look(self, view: Any, spec: Any) -> dict[str, NDArray[Any]]:
-        del spec
         return view.observe(self.network.card.observations)
 
 

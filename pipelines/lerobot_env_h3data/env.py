@@ -49,7 +49,6 @@ class LeRobotEnv(gymnasium.Env[Any, Any]):
         Episodes without a seed are those that worlds begin by themselves while others still play. LeRobot does not count them,
         so they are not recorded.
         """
-        del options
         self.env.record = self._record if seed is not None else None
         shown, info = self.env.reset(seed=seed)
         return _sorted(shown, dict), info

@@ -113,7 +113,6 @@ class BodyClearance:
 def _hand_paths(body: Humanoid) -> dict[tuple[Hand, tuple[float, ...]], Array]:
     """Return the cache of the paths of a body's hands for `BodyClearance._capsules`, shared by all homes."""
     # only the key of the cache
-    del body
     return {}
 
 

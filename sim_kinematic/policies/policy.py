@@ -122,5 +122,4 @@ class Still:
 
     def act(self, view: Any) -> Velocity:
         """Return a velocity of 0."""
-        del view
         return Velocity(0.0, 0.0)

@@ -267,13 +267,11 @@ def _best_sample(view: SocialNavView, spec: BaseSpec, walk: NDArray[np.float64])
 
 def stand_still(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """Return a velocity of 0, which gives the lower bound of all scores."""
-    del view, spec
     return Velocity(0.0, 0.0, "wait")
 
 
 def random(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """Return a uniformly random base velocity in every step, determined by the seed, as a baseline."""
-    del spec
     forward, turn = generator(view.seed, "policy/random", step=view.step).uniform(-1, 1, 2)
     return Velocity(float(forward), float(turn), "follow" if view.met else "find")
 

@@ -128,7 +128,6 @@ class ClipBody:
 
     def turn(self, heading: float, *, settles: bool = True) -> Generator[None, None, MotionResult]:
         """Do nothing: `sim_kinematic.motion.gait.walk_humans` turns people before they walk."""
-        del heading, settles
         yield from ()
         return MotionResult(success=True)
 

@@ -108,7 +108,6 @@ class EpisodeCodec(Generic[R]):
 
     def is_complete(self, record: R) -> bool:
         """Return whether the record determines the episode without sampling."""
-        del record
         return True
 
     def rules(self, record: R) -> Any:
@@ -121,7 +120,6 @@ class EpisodeCodec(Generic[R]):
 
     def stand_ins(self, record: R, source: SceneSource) -> tuple[str, ...]:
         """Return a sentence for each thing of the record that is replaced because its files are missing."""
-        del record, source
         return ()
 
     def episode(self, record: R, place: EpisodePlace) -> Episode:
@@ -140,7 +138,6 @@ class EpisodeCodec(Generic[R]):
         LeRobot datasets have the instruction for every frame, and language-conditioned policies are trained with it. By
         default it is the task's name in words.
         """
-        del episode
         return str(self.task.name).replace("_", " ").strip() or "act"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
@@ -152,7 +149,6 @@ class EpisodeCodec(Generic[R]):
 
     def final_info(self, episode: Episode, play: WorldRollout, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """Return entries of a recording's info that are known only after the last step."""
-        del episode, policies
         return {"ended": play.ended}
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
@@ -173,7 +169,6 @@ class EpisodeCodec(Generic[R]):
         `final_info` also returns these entries. They are plain data, so that another process can compute them at the
         same time.
         """
-        del episode
         return {}
 
     def load_precomputed(self, episode: Episode, facts: Mapping[str, Any]) -> None:
@@ -229,7 +224,6 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
         Raises:
             InputError: The record is malformed or its starts are not finite.
         """
-        del seed
         record = read_info_block(entry, self.task.name, TaskRecord)
         if record is not None and not np.isfinite(np.array(record.starts, np.float64)).all():
             raise InputError(f"Expected finite starts, got {record.starts}.", code="H3-TASK-061")

@@ -143,17 +143,14 @@ class Control:
 
     def is_busy(self, play: Any, number: int) -> bool:
         """Return whether an agent continues an action until it ends or a command interrupts it."""
-        del play, number
         return False
 
     def interrupts(self, play: Any, number: int, choice: Any) -> bool:
         """Return whether a command from outside interrupts the agent's present activity; by default it always does."""
-        del play, number, choice
         return True
 
     def refusal(self, play: Any, number: int, choice: Any) -> str | None:
         """Return, as a sentence, why a command from `checked` would be refused now; None if it would not."""
-        del play, number, choice
         return None
 
     # --- recordings ---------------------------------------------------------------------------------------------------
@@ -167,7 +164,6 @@ class Control:
 
     def recorded_agent(self, member: AgentSpec, episode: Episode, *, is_external: bool) -> Agent:
         """Return the entry of an agent in a recording, with the skills that it has in this episode."""
-        del episode, is_external
         body, skills = member.body, self.skills.get(member.kind, ())
         if isinstance(body, Robot):
             return Agent(

@@ -52,7 +52,6 @@ class VelocityControl(Control):
         Raises:
             InputError: the choice is malformed.
         """
-        del play, number
         try:
             if not hasattr(choice, "forward") and np.shape(choice) == (2,):
                 choice = Velocity(float(choice[0]), float(choice[1]))
@@ -82,7 +81,6 @@ class VelocityControl(Control):
 
     def idle(self, play: Any, number: int, last: Any) -> Any:
         """Return the choice that an agent continues with if it gets no new command."""
-        del play, number
         return Velocity(0.0, 0.0) if last is None else last
 
     def to_json(self, choice: Any) -> Any:
@@ -113,7 +111,6 @@ class VelocityControl(Control):
 
     def still(self, episode: Episode, number: int) -> Any:
         """Return a policy that stands still."""
-        del episode, number
         return Still()
 
     def recorded_policies(
@@ -149,7 +146,6 @@ class VelocityControl(Control):
         self, play: Any, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
         """Let people follow their recorded places and postures from the first step on."""
-        del since
         for k, member in enumerate(play.episode.roster):
             if member.kind == "human":
                 play.policies[k] = play.policies[k]._replace(policy=RecordedTrack(recording, k, member.body))
@@ -168,7 +164,6 @@ class MotionController:
 
     def begin(self, step: int) -> None:
         """Start a step, in which the agent has to choose."""
-        del step
         self.status = "choosing"
 
     def start(self, choice: Any) -> None:

@@ -214,5 +214,4 @@ class Task:
         Raises:
             InputError: The policy of this name cannot play this task.
         """
-        del kind, name, spec
         return None

@@ -31,7 +31,6 @@ class WanderCodec(TaskCodec):
 
     def instruction(self, episode: Episode) -> str:
         """Return the instruction in words, the same for all episodes."""
-        del episode
         return "walk about the home"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:

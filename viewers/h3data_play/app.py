@@ -114,7 +114,6 @@ class App:
 
         The result may depend only on messages and the world, so that a game can continue after a crash.
         """
-        del number, message
         return ""
 
     def on_input(self, number: int, message: Act) -> None:
@@ -122,12 +121,10 @@ class App:
 
     def step(self, result: StepResult) -> str:
         """Handle the end of a step; return a reason to end the episode, or an empty text to continue."""
-        del result
         return ""
 
     def hud(self, number: int) -> Hud:
         """Return the text for the player of agent ``number``, or for spectators (-1)."""
-        del number
         info = self.session.recorder.header.episode.info
         return Hud(task=sentence_of(str(info["instruction"])), left_s=self.left_s)
 

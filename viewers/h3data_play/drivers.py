@@ -169,7 +169,6 @@ class Driver:
 
     def can_place(self, point: Any) -> str:
         """Return the reason why the held object could not be placed at a point now; empty if it could."""
-        del point
         return "There is nothing to place here."
 
     # --- the body -----------------------------------------------------------------------------------------------------
@@ -295,7 +294,6 @@ class SkillDriver(Driver):
 
     def put_at(self, point: Array, lead: bool) -> str:
         """Place the object in hand at a point [3] [m] that is not its goal."""
-        del point, lead
         return "The robot puts things down at their goals only."
 
     def drop(self) -> Any:
@@ -304,7 +302,6 @@ class SkillDriver(Driver):
 
     def give(self, agent: int) -> Any:
         """Return the command that hands the object in hand to another agent."""
-        del agent
         raise InputError("The robot does not hand things over.", code="H3-PLAY-015")
 
     def interrupt(self) -> None:

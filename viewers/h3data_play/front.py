@@ -169,7 +169,6 @@ class WebServer:
 
     async def _close_sockets(self, app: web.Application) -> None:
         """Close open sockets, because aiohttp would otherwise wait for them for a minute."""
-        del app
         connections = [c for live in self.lives.values() for c in live.sockets.values()]
         for connection in connections:
             with contextlib.suppress(Exception):

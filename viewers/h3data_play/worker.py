@@ -367,7 +367,6 @@ class Worker:
 
     def go_on(self, key: str, body: Any) -> None:
         """Try again to write the rest of a game to the disk."""
-        del body
         running = self.games[key]
         running.game.retry()
         if running.game.fault:
@@ -448,19 +447,16 @@ class Worker:
 
     def pack(self, key: str, body: dict[str, str]) -> None:
         """Send a finished recording to the front process, where packing it does not delay games."""
-        del key
         if Path(body["path"]).is_file():  # else it has been deleted meanwhile
             pack_mcap(Path(body["path"]), share_in=body["share_in"])
 
     def stop(self, key: str, body: Any) -> None:
         """Finish all recordings, or leave them as logs, and end the process."""
-        del key
         self.stops, self.finishes = True, bool(body["finish"])
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def step(self, key: str, body: Any) -> None:
         """Play one step of a game with the messages that have arrived for it."""
-        del body
         running = self.games[key]
         game, cpu = running.game, time.process_time()
         now = len(game.session.recorder)

@@ -200,11 +200,9 @@ class StudyServer(WebServer):
         return app
 
     async def _start(self, app: web.Application) -> None:
-        del app
         self._spawn(self._watch())
 
     async def _stop(self, app: web.Application) -> None:
-        del app
         for task in list(self._tasks):
             task.cancel()
 
@@ -255,7 +253,6 @@ class StudyServer(WebServer):
 
     async def ping(self, request: web.Request) -> web.Response:
         """Answer a ping with an empty body at once, so that a page can measure its round trip."""
-        del request
         return web.Response(status=204, headers={"Cache-Control": "no-store"})
 
     async def consent(self, request: web.Request) -> web.Response:
@@ -406,7 +403,6 @@ class StudyServer(WebServer):
 
     # --- what requests have in common ---------------------------------------------------------------------------------
     def _answer(self, request: web.Request, view: dict[str, Any], token: str = "") -> web.Response:
-        del request
         answer = web.json_response(view, headers={"Cache-Control": "no-store"})
         if token:
             answer.set_cookie(

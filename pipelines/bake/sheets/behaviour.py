@@ -122,7 +122,6 @@ def backs_up_at_a_door(recording: Recording, motion: Motion) -> list[Moment]:
 
 def gives_way(recording: Recording, motion: Motion) -> list[Moment]:
     """Find where the robot moves aside by 0.25 m or more for a walking person, who passes without a touch."""
-    del recording
     half = 60  # of the steps of a film
     found = []
     total = len(motion.away)
@@ -164,7 +163,6 @@ def fetches_what_is_left(recording: Recording, motion: Motion) -> list[Moment]:
 
 def waits(recording: Recording, motion: Motion) -> list[Moment]:
     """Find where the robot stands still for a second or more while a person walks past it within 2 m, and then drives on."""
-    del recording
     still = motion.moved[ROBOT] < 0.05 / FPS
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
     found = []

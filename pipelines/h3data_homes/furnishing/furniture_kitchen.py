@@ -81,7 +81,6 @@ def counter(
     top = surface("top", (-half + left / 2, y, 0.02), (left - 0.06, MODULE_DEPTH - 0.12), 0.5)
 
     def opening_sink(number: int) -> Opening:
-        del number
         looks = MeshBuilder()
         _sink(looks, half, style)
         return opening_counter(size, _FRONT_Z, colors, style.metal, style.worktop, kind=kind, top=top, looks=looks)
@@ -173,7 +172,6 @@ def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furni
     shape = box_part((0, (y0 + y1) / 2, 0), (width, y1 - y0, d))
 
     def opening(number: int) -> Opening:
-        del number
         tiles = MeshBuilder()
         _splashback(tiles, width, -d / 2, y0, style)
         return opening_cabinet(width, d, (y0, y1), colors, style.metal, style.front, tiles)

@@ -176,7 +176,6 @@ def _row(things: _Things, habit: Habit, count: int, board: _Board, frame: np.nda
 
 def _settings(things: _Things, habit: Habit, count: int, board: _Board, frame: np.ndarray) -> None:
     """Put plate, fork, knife and glass at places along the two long sides."""
-    del habit
     plate, fork, knife, glass = (things.sample(k) for k in ("plate", "fork", "table_knife", "tumbler"))
     per_side = max(1, int(2 * board.half[0] / _SEAT_M))
     places = [(((i + 0.5) / per_side - 0.5) * 2 * board.half[0], s) for i in range(per_side) for s in (1, -1)]

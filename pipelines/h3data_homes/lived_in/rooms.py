@@ -177,7 +177,6 @@ def _above_deep(state: RoomState, side: int, u: float, half: float) -> bool:
 # --- new kinds of rooms -----------------------------------------------------------------------------------------------
 def _furnish_child(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a child's room: a bed or a bunk bed, a wardrobe, a small table with chairs, a carpet."""
-    del dining
     bunk = rng.random() < 0.4 and state.room.area > 10
     group = None
     if bunk:
@@ -212,7 +211,6 @@ def _desk(rng: np.random.Generator, style: Style, state: RoomState) -> object:
 
 def _furnish_office(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish an office: a desk with an office chair, shelves, an armchair."""
-    del dining
     if not _desk(rng, style, state):
         desk = place_single(rng, state, sleeping.desk(rng, style), corner=True)
         need(desk, "desk", state)
@@ -227,7 +225,6 @@ def _furnish_office(rng: np.random.Generator, style: Style, state: RoomState, di
 
 def _furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a laundry: washer and dryer in a row with a sink, shelves."""
-    del dining
     machine, dryer = bath.washer(rng, style), model("dryer", rng, style)
     sink = kitchen.counter(rng, style, kitchen.SINK_WIDTH, "sink")
     for pieces in ([machine, dryer, sink], [machine, dryer], [machine]):
@@ -238,7 +235,6 @@ def _furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, d
 
 def _furnish_garage(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a garage: a workbench, racks, a bicycle."""
-    del dining
     place_single(rng, state, model("workbench", rng, style), middle=True)
     rack = model("storage_rack", rng, style)
     for count in (2, 1):
@@ -248,7 +244,6 @@ def _furnish_garage(rng: np.random.Generator, style: Style, state: RoomState, di
 
 def _furnish_balcony(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Furnish a balcony: a table with two folding chairs, or a deck chair."""
-    del dining
     table, seat = model("balcony_table", rng, style), model("folding_chair", rng, style)
     x = table.size[0] / 2 + seat.size[2] / 2 + 0.02
     z = table.wall_gap_m + table.size[2] / 2

@@ -161,7 +161,6 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         Raises:
             SceneError: no episode can be sampled in a scene.
         """
-        del options
         super().reset(seed=seed)
         if seed is not None or self._index < 0:
             self._seed = (seed or 0) if self._recorded else run_seed(seed, self.np_random)

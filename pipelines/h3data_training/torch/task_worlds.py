@@ -145,7 +145,6 @@ class TensorWorld(NamedTuple):
 
     def heights(self, xz: Tensor) -> Tensor:
         """Return heights of the floor at positions, [W] [m], which are constant because floors are level."""
-        del xz
         return self.floor_y
 
     def clearance(self, points: Tensor) -> Tensor:
@@ -197,7 +196,6 @@ class TensorRollout:
 
     def events_where(self, flags: Tensor, kind: str, *, agent: int = -1, target: str = "") -> tuple[()]:
         """Return no events, because nothing is recorded on a device."""
-        del flags, kind, agent, target
         return ()
 
 

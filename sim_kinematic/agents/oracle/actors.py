@@ -283,7 +283,6 @@ class DiscContacts(GivingWay):
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
         """Return False: with oracle skills no agent gives way to another."""
-        del me, other
         return False
 
     def _touch(self, a: int, b: int) -> bool:

@@ -186,7 +186,6 @@ def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
 def _arm_paths(robot: Robot) -> dict[tuple[float, float], tuple[Array, Array] | None]:
     """Return the paths of a robot's arm that `ArmClearance._way` has computed, shared between homes."""
     # only the key of the cache
-    del robot
     return {}
 
 

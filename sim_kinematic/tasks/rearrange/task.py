@@ -115,13 +115,11 @@ class Rearrange(Task):
 
         The joints follow from the episode. Oracle skills, and therefore worlds on a device, open no others.
         """
-        del episode
         return ()
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: Any, rows: NDArray[np.intp]) -> Mapping[str, Any] | None:
         """Reset the sub-goals that have been rewarded: that each object was taken, and that it came to its goal."""
-        del rows
         play.memory = np.zeros((1, 2 * play.world.state.held_by.shape[1]), np.bool_)
 
     def judge(self, play: Any) -> StepOutcome:

@@ -182,7 +182,6 @@ class SocialNavReward:
     def _step_paper(
         self, seen: Encounter, faces: NDArray, straight: NDArray, geodesic: NDArray, collides: NDArray
     ) -> RewardStep:
-        del seen
         distance = np.where(np.isfinite(geodesic), geodesic, straight)
         # in the first step there is no change of distance to pay
         before = np.where(np.isnan(self._distance), distance, self._distance)

@@ -147,12 +147,10 @@ class SkillControl(Control):
 
     def decided(self, recording: Recording, names: Sequence[str]) -> set[int]:
         """Return the numbers of all agents, since every chosen skill is recorded."""
-        del names
         return set(range(len(recording.agents)))
 
     def still(self, episode: Episode, number: int) -> Any:
         """Return a policy that waits."""
-        del number
         assert isinstance(episode, RearrangeEpisode)
         return planner("still", episode.seed, len(episode.targets))
 

@@ -86,7 +86,6 @@ class Household(Team):
 
     def begin(self, rows: NDArray[np.intp]) -> None:
         """Put the agents and the things of the home at their places at the start of an episode."""
-        del rows
         play, state = self.play, self.play.world.state
         self.episode = episode = play.episode
         self.parts: tuple[int, ...] = play.task.parts_of(episode)
@@ -376,7 +375,6 @@ class Household(Team):
 
     def move(self, commands: Sequence[Command | None]) -> None:
         """Complete a step in which the agents have moved one after the other."""
-        del commands
         world, was_at_goal, held_now = self.play.world, self.at_goal, self.objects.held_by.tolist()
         self.company.end_step()
         self.note_places()
@@ -417,7 +415,6 @@ class Household(Team):
 
     def view(self, agent: int, world: int = 0) -> RearrangeView:
         """Return the present knowledge of an agent, for policies that choose skills."""
-        del world
         runner, before = self.controllers[agent], self.play.world.before.agents[agent]
         me, other = self.actors[runner.number], self.company.nearest(runner.number)
         track = self.company.track(other) if other >= 0 else np.full((1, 2), np.nan)
@@ -586,7 +583,6 @@ class Household(Team):
 
     def scenery(self, world: int) -> dict[str, Any]:
         """Return the present state of arms, hands and objects, and doors and drawers where they last came to rest."""
-        del world
         objects = self.objects
         return {
             "state": objects.state,

@@ -77,7 +77,6 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
 
     def read(self, entry: FileEntry, *, seed: int) -> SocialNavEpisode | None:
         """Return the record in an entry of a file; None if the entry belongs to another task."""
-        del seed
         return read_social_nav(entry)
 
     def rules(self, record: SocialNavEpisode) -> SocialNavSpec:
@@ -128,7 +127,6 @@ class SocialNavCodec(EpisodeCodec[SocialNavEpisode]):
 
     def instruction(self, episode: Episode) -> str:
         """Return the instruction in words, the same for all episodes."""
-        del episode
         return "follow the person"
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:

@@ -50,5 +50,4 @@ class SkillTensorRollout:
 
     def events_where(self, flags: Tensor, kind: str, *, agent: int = -1, target: str = "") -> tuple[()]:
         """Return no events, because nothing is recorded on a device."""
-        del flags, kind, agent, target
         return ()
