@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from h3data.bodies.people.planted_gait import planted_states, pose_planted
+from h3data.bodies.people.planted_gait import drawn_in, planted_states, pose_planted
 from h3data.errors import InputError
 from h3data.geometry import heading_from_quat, pose_multiply, wrap_angle
 from h3data.kernels import compiled_count
@@ -277,7 +277,7 @@ def test_people_recorded_by_clips_walk_with_planted_feet(tmp_path: Path):
             player.play()
             sent.append(game.state(1, 0.0, whole=False))
             bases.append(player.base.astype(np.float64))
-    tables = game.packer.bodies[1].gait_tables  # type: ignore[union-attr]
+    tables = drawn_in(game.packer.bodies[1].gait_tables, game.packer.scene)  # type: ignore[union-attr, arg-type]
     _, places = pose_planted(tables, planted_states(tables, np.array(bases)))
     at = 16 + 12 + 2 * 20 + 12
     pelvis = np.array([np.frombuffer(data, "<f4", 3, at) for data in sent])

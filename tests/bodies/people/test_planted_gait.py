@@ -213,7 +213,6 @@ def test_drawn_legs_keep_out_of_a_counter_beside_a_turn(name: str) -> None:
                         x = joints[:, capsule.joint, 0, :3] @ end + joints[:, capsule.joint, 0, 3]
                         depth = max(depth, float(x.max()) + min(capsule.radius, THICK_M) - wall)
         deepest.append(depth)
-    print(name, deepest)
     assert deepest[1] <= 0.02 < deepest[0]
 
 

@@ -470,8 +470,8 @@ def _gait_shape(table, k, f, state, foot):
         pitch = forwards * _curve(table.stand_foot, k, f, share, 0)
         return pitch, forwards * _curve(table.stand_foot, k, f, share, 1), 0.0, 0.0
     share, aside = state[at + SHARE], 1.4 * (table.half_width if foot == 0 else -table.half_width)
-    # a raised knee needs room: where there are less than 10 cm ahead of the foot, drawn steps get lower, down to 0.1
-    low = min(max(0.1 + 9.0 * _room_at(table, state, aside, 0.25)[0], 0.1), 1.0) if table.clear > 0.0 else 1.0
+    # a raised knee needs room: where there are less than 10 cm ahead of the foot, drawn steps get lower, down to 0.3
+    low = min(max(0.3 + 7.0 * _room_at(table, state, aside, 0.25)[0], 0.3), 1.0) if table.clear > 0.0 else 1.0
     # backwards a little of the swing is left: without any the toes would drag
     forwards = low * (1.0 if state[SPEED] >= 0.0 else 0.3)
     pitch, bend = _curve(table.swing_foot, k, f, share, 0), _curve(table.swing_foot, k, f, share, 1)
@@ -552,8 +552,8 @@ def _knee(table, state, quats, pelvis, ankle, foot, side):
     for _ in range(3):
         c, s = math.cos(turn), math.sin(turn)
         room, away = _room_at(table, state, hip[0] + part * path[0] + bow * s, hip[2] + part * path[2] + bow * c)
-        # 0.095: distance of a knee from obstacles [m], about its radius
-        turn += min(max(0.095 - room, 0.0) / max(bow, 0.05), 0.5) * (c * away[0] - s * away[1])
+        # 0.12: distance of a knee from obstacles [m], a little more than its radius
+        turn += min(max(0.12 - room, 0.0) / max(bow, 0.05), 0.5) * (c * away[0] - s * away[1])
     return math.tan(min(max(turn, -0.8), 0.8)) * math.cos(yaw) - math.sin(yaw)
 
 
