@@ -91,14 +91,13 @@ class GivingWay:
         if in_clips:
             people = {k: clip_reach(body) for k, body in enumerate(self.bodies) if not isinstance(body, Robot)}
             self._reach_m = [min(people.get(k, reach), reach) for k, reach in enumerate(self._reach_m)]
-        self._posed: dict[int, _Stance] = {}
-        self._gated: dict[int, _Stance] = {}
+        self._posed, self._gated = {}, {}
         """Stances to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
         self._clear: dict[tuple[int, int], tuple[_Stance, _Stance]] = {}
         """Stances in which the capsules of a pair were last farther apart than they have to be by `SPARE_M`."""
         self._acted: set[int] = set()
         """Agents that have acted in this step."""
-        self.at: list[list[float]] = [actor.xz.tolist() for actor in actors]
+        self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
         """Place (x, z) of each agent; for the agent whose turn it is, the place before that."""
         self._seen: dict[int, ObservedAgent] = {}
         """Agents as others see them, computed for agents that others have observed since their last action."""
@@ -166,7 +165,7 @@ class GivingWay:
         """Note that an agent has acted and has moved."""
         self._acted.add(number)
         self._seen.pop(number, None)
-        self.at[number] = self.actors[number].xz.tolist()
+        self._at[number] = self.actors[number].xz.tolist()
 
     def meets(self, me: AnyActor) -> bool:
         """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
@@ -215,21 +214,20 @@ class GivingWay:
         self._moments += 1
         self._acted.clear()
         self._seen.clear()
-        self.at = [actor.xz.tolist() for actor in self.actors]
-        _CALL(_note, self._places, self._moments, np.array(self.at), self._settled, *_STILL)
-        self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self.at[a], b) and self._touch(a, b)]
+        self._at = [actor.xz.tolist() for actor in self.actors]
+        _CALL(_note, self._places, self._moments, np.array(self._at), self._settled, *_STILL)
+        self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
 
     def _is_near(self, a: int, here: list[float], b: int) -> bool:
         """Return whether an agent at (x, z) could touch another with their arms stretched out."""
-        return math.dist(here, self.at[b]) <= self._reach_m[a] + self._reach_m[b]
+        return math.dist(here, self._at[b]) <= self._reach_m[a] + self._reach_m[b]
 
     def _touch(self, a: int, b: int) -> bool:
         """Return whether two agents touch as they are now."""
         one, other = self.actors[a], self.actors[b]
         now = _stance(one), _stance(other)
         # stairs tilt and lift robots, which the bound does not know
-        level = not (one.free.has_stairs or other.free.has_stairs)
-        if level and self._stays_clear((a, b), now):
+        if not (one.free.has_stairs or other.free.has_stairs) and self._stays_clear((a, b), now):
             return False
         self._gate(one, now[0])
         self._gate(other, now[1])
@@ -245,13 +243,15 @@ class GivingWay:
 
     def _stays_clear(self, pair: tuple[int, int], now: tuple[_Stance, _Stance]) -> bool:
         """Return whether two agents who were far enough apart have kept their postures, and have hardly moved since."""
-        moved = 0.0
-        for number, was, at in zip(pair, self._clear.get(pair, ()), now, strict=False):
-            if not _is_same(was, at):
-                return False
-            # no part of an agent is farther from its place than twice its half of the gate, which is 2 m or more
-            moved += math.hypot(at[0] - was[0], at[1] - was[1]) + 2 * self._reach_m[number] * abs(at[2] - was[2])
-        return pair in self._clear and moved < SPARE_M
+        before = self._clear.get(pair)
+        if before is None or not all(map(_is_same, before, now)):
+            return False
+        # no part of an agent is farther from its place than twice its half of the gate, which is 2 m or more
+        gone = (
+            math.hypot(at[0] - was[0], at[1] - was[1]) + 2 * self._reach_m[number] * abs(at[2] - was[2])
+            for number, was, at in zip(pair, before, now, strict=True)
+        )
+        return sum(gone) < SPARE_M
 
     def _gate(self, actor: AnyActor, now: _Stance) -> None:
         """Move the capsules around an agent to its present pose."""
@@ -279,8 +279,7 @@ def _stance(actor: AnyActor) -> _Stance:
     """Return the place (x, z, heading) of an agent, and what tells its present posture from others."""
     # by value of robots, whose joints are changed in place; whatever poses a person makes a new array
     posture = actor.joints.tobytes() if isinstance(actor, RobotActor) else actor.person.quats
-    x, z = actor.xz.tolist()
-    return x, z, actor.heading, posture
+    return (*actor.xz.tolist(), actor.heading, posture)
 
 
 def _is_same(was: _Stance, now: _Stance) -> bool:

@@ -21,7 +21,7 @@ from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import RobotState
-from sim_kinematic.motion.step import clearance_along, drive_worlds, integrate_along, least_clearance, wrap_angle
+from sim_kinematic.motion.step import drive_worlds, integrate_along, least_clearance, wrap_angle
 
 # standing still comes first: of equal commands the first one wins
 _CANDIDATES = np.array([(0.0, 0.0), *itertools.product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=2)])
@@ -71,7 +71,7 @@ def try_command(sdf, origin, cell, pose, room, speed, turn, length, arc, others,
             # only where there may be no room any more
             room -= math.sqrt(2.0) * dt * (abs(speed) + abs(turn) * far) + 1e-9
             if room <= 0.0:
-                room = clearance_along(sdf, origin, cell, nx, nz, nc, ns, offsets) - disc_radius
+                room = least_clearance(sdf, origin, cell, nx, nz, nh, offsets) - disc_radius
             if room >= 0.0:
                 x, z, heading, c, s = nx, nz, nh, nc, ns
             else:

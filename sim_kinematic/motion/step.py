@@ -42,12 +42,7 @@ def wrap_angle(angle):
 @kernel(error_model="numpy", inline="always")  # called, it would count references: `drive_base` is 15% faster
 def least_clearance(sdf, origin, cell, x, z, heading, offsets):
     """Return the smallest signed distance [m] from the centres of the base's discs to an obstacle."""
-    return clearance_along(sdf, origin, cell, x, z, math.cos(heading), math.sin(heading), offsets)
-
-
-@kernel(error_model="numpy", inline="always")
-def clearance_along(sdf, origin, cell, x, z, c, s, offsets):
-    """Return the result of `least_clearance` for a heading whose cosine ``c`` and sine ``s`` are known."""
+    c, s = math.cos(heading), math.sin(heading)
     least = math.inf
     for offset in offsets:
         least = min(least, sample_sdf(sdf, origin, cell, x + c * offset, z - s * offset))

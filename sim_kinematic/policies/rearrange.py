@@ -181,9 +181,8 @@ class Chooser:
 
     def may_interrupt(self, glance: CloseView) -> bool:
         """Return whether `interrupts` has to be asked: a view takes as long as a tenth of a step."""
-        if glance.action.skill == "nav_to_object":
-            return glance.held_by_other or glance.close or glance.step % REPLAN_STEPS == 0
-        return glance.action.skill == "pick" and glance.held_by_other
+        skill, replans = glance.action.skill, glance.close or glance.step % REPLAN_STEPS == 0
+        return skill in ("nav_to_object", "pick") and (glance.held_by_other or (replans and skill != "pick"))
 
     def interrupts(self, view: RearrangeView) -> str:
         """Return the reason to interrupt the running action, such as ``object_taken``; empty if there is none."""

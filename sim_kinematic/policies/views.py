@@ -107,7 +107,6 @@ class CloseView(NamedTuple):
     action: Action
     """Skill that is running."""
     close: bool = True
-    """True if the other agent is inside the ellipse in which skills may be interrupted."""
     step: int = 0
     held_by_other: bool = False
     """True if another agent holds the object of the skill."""

@@ -350,18 +350,15 @@ class Household(Team):
             return
         # most of the time nobody is close, and a view takes far longer than to find that out
         needs_view = not getattr(policy, "interrupts_only_when_close", False)
-        glance = CloseView(controller.action, self._is_close(number), self.play.step, self._is_taken(controller))
+        k, held_by = controller.action.target, self.objects.held_by
+        is_taken = 0 <= k < len(held_by) and held_by.item(k) not in (NOBODY, number)
+        glance = CloseView(controller.action, self._is_close(number), self.play.step, is_taken)
         # what an agent knows that has not seen everything only a view tells
         may_interrupt = getattr(policy, "may_interrupt", None) if self.objects.sight is None else None
         if not (glance.close or needs_view) or not (may_interrupt is None or may_interrupt(glance)):
             return
         if reason := interrupts(self.play.view(number) if needs_view else glance):
             controller.interrupt(reason)
-
-    def _is_taken(self, controller: SkillController) -> bool:
-        """Return whether another agent holds the object of a running skill."""
-        k, held_by = controller.action.target, self.objects.held_by
-        return 0 <= k < len(held_by) and held_by.item(k) not in (NOBODY, controller.number)
 
     def end_turn(self, number: int) -> None:
         """Note that an agent has moved."""
@@ -483,8 +480,6 @@ class Household(Team):
         me, other, (a, b) = self.actors[agent], self.company.nearest(agent), self.episode.spec.near_m
         if other < 0:
             return False
-        if math.dist(me.xz.tolist(), self.company.at[other]) > max(a, b) + 1e-6:
-            return False  # nearly always; the cosines below take longer
         ahead, aside = _seen(me.xz, me.heading, self.actors[other].xz)
         return (ahead / a) ** 2 + (aside / b) ** 2 < 1
 

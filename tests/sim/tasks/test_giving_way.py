@@ -13,6 +13,8 @@ from h3data.bodies.people.kernels.planted import SPEED
 from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.giving_way import GivingWay
+from sim_kinematic.agents.person_skills import PersonActor
+from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.contact.body_capsules import AgentCapsules, may_touch
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
@@ -79,11 +81,12 @@ def test_agents_who_stay_clear_do_not_touch(home: Scene, free: FreeSpace, monkey
     def looks(self: GivingWay, pair: tuple[int, int], now: tuple) -> bool:
         clear = stays_clear(self, pair, now)
         if clear:
-            capsules = [AgentCapsules(body) for body in self.bodies]
-            capsules[0].pose(self.actors[0].pose, self.actors[0].joints)
-            person = self.actors[1].person
-            capsules[1].pose(person.base, person.quats, person.pelvis)
-            spared.append(may_touch(*capsules))
+            (robot, person), (one, other) = self.actors, map(AgentCapsules, self.bodies)
+            assert isinstance(robot, RobotActor)
+            assert isinstance(person, PersonActor)
+            one.pose(robot.pose, robot.joints)
+            other.pose(person.person.base, person.person.quats, person.person.pelvis)
+            spared.append(may_touch(one, other))
         return clear
 
     monkeypatch.setattr(GivingWay, "_stays_clear", looks)
