@@ -41,8 +41,8 @@ version, conversations may close a passage, groups pull together through walls, 
 although others cannot get past. Up to version 2, people avoid others 2 s ahead, including those who give way to them,
 and step aside more slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody
 backs out (`Crowd._way`). Up to version 4, every place near a wall counts as narrow, and people give way later and more
-slowly. Up to version 5, and with `social_force` still, they also give way to people who have passed them, and slow down
-for people who move away."""
+slowly. Up to version 5, and still with `social_force` or routines, they also give way to people who have passed them, and
+slow down for people who move away."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """Conditions for sitting down: distance from the place before the seat [m], speed [m/s], and distance to others'
 outlines below which people wait [m]."""
@@ -102,8 +102,9 @@ class Crowd:
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
         # with the shorter horizons of version 3, people block the way of walking groups and get too near to what they fear
         wary = any(role.group or role.reaction != "regular" for role in roles or ())
-        # with the smaller distances of version 6, people of social force touch
-        constants = CrowdSpec.of_version(min(version, 5) if model == "social_force" else version, wary=wary)
+        # by the rules of version 6, people with routines touched; for social force they were not measured
+        eased = model == "orca" and not any(role.routine for role in roles or ())
+        constants = CrowdSpec.of_version(version if eased else min(version, 5), wary=wary)
         self._forces, self._rules = model == "social_force", (spec or constants).numbers
         self._limits = (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))

@@ -316,9 +316,7 @@ def choose_velocity(
         if len(body) <= j < len(body) + furniture:
             ahead_s, jx, jz = rules[1], 0.0, 0.0
         else:
-            # feet and hands that reach to each other keep bodies apart already
-            stretch = (reach - radii[m] - radii[j]) / (2.0 * STRIDE_M) if easy and j < len(body) else 0.0
-            reach += rules[4] * (1.0 - stretch)
+            reach += rules[4]
             # who gives way is on the way out of the path
             if j < len(body) and firsts[j] == m and not forces:
                 ahead_s = rules[19]

@@ -57,9 +57,8 @@ class CrowdSpec:
     only with members whom they see, and keep walking at least slowly. From 4 on, people who should go back walk on if
     they are at the start of their path, and members of a walking group do not pull at each other while another person
     is between them. From 5 on, a place beside a wall is narrow only if there is no more room beside it either
-    (`sim_kinematic.crowd.step.is_narrow`). From 6 on, people give way to nobody who has passed them, take any
-    velocity that avoids others who keep theirs, and add less than ``comfort_m`` where feet and hands already reach to
-    each other."""
+    (`sim_kinematic.crowd.step.is_narrow`). From 6 on, people give way to nobody who has passed them, and take any
+    velocity that avoids others who keep theirs."""
     way_horizon_s: float = 2.0
     """Time within which `orca` avoids a collision with a person who gives way [s]."""
     aside_mps: float = 0.6
