@@ -102,9 +102,8 @@ class Crowd:
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
         # with the shorter horizons of version 3, people block the way of walking groups and get too near to what they fear
         wary = any(role.group or role.reaction != "regular" for role in roles or ())
-        # by the rules of version 6, people with routines touched; for social force they were not measured
-        eased = model == "orca" and not any(role.routine for role in roles or ())
-        constants = CrowdSpec.of_version(version if eased else min(version, 5), wary=wary)
+        # with the smaller distances of version 6, people of social force touch
+        constants = CrowdSpec.of_version(version if model == "orca" else min(version, 5), wary=wary)
         self._forces, self._rules = model == "social_force", (spec or constants).numbers
         self._limits = (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))

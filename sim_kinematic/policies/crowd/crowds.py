@@ -120,7 +120,7 @@ class Crowds:
         w, members, moment = self._row, self._members[model], self._moment()
         robots, all_people = len(self._world.state.robots), len(self._world.state.people)
         if model not in self._crowds:
-            # people of one world share home, seed, walker and version, so the first one's stand for all
+            # people of one world share home, seed and walker, so the first one's stand for all
             people = list(members.values())
             self._crowds[model] = Crowd(
                 people[0].free,
@@ -132,7 +132,7 @@ class Crowds:
                 stride=people[0].walker.stride,
                 # one for all crowds, so that people of two models do not sit down on one seat
                 places=self._places,
-                version=people[0].version,
+                version=min(person.version for person in people),
             )
             # people of other models and policies are obstacles that move
             own, discs = [number - robots for number in members], range(len(moment.radii))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
-from sim_kinematic.crowd.crowd import CrowdModel
+from sim_kinematic.crowd.crowd import VERSION, CrowdModel
 from sim_kinematic.crowd.errands import Agenda, Errand, HandWork
 from sim_kinematic.crowd.roles import ALONE, Role
 from sim_kinematic.crowd.traits import sample_traits
@@ -53,6 +53,8 @@ class CrowdPolicy:
             role=role,
             seed=seed,
             hands=None if routine is None else routine.hands,
+            # by the rules of version 6, people with routines touched
+            version=VERSION if routine is None else 5,
         )
 
     @property
