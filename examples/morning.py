@@ -22,7 +22,7 @@ from h3data_crowds.chores import ChoreRoutine
 from h3data_crowds.routines import Stop
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 
-SCENE, SEED, SECONDS, FPS = "medium2-open:1", 10, 60, 30
+SCENE, SEED, SECONDS, FPS = "medium2-open:1", 13, 60, 30
 ROSTER = ("robot", "female_1", "male_2", "female_3")
 SIZE = 640, 360
 ROUTINES = {
