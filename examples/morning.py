@@ -34,19 +34,23 @@ ROUTINES = {
 CAMERAS = {
     "kitchen": "eye = [5.2, 2.3, 6.3]\ntarget = [7.2, 0.5, 3.8]\nhfov_deg = 80\n",
     "stove": "eye = [8.8, 2.3, 6.2]\ntarget = [6.2, 0.5, 3.9]\nhfov_deg = 80\n",
+    "fridge": "eye = [7.4, 2.2, 6.6]\ntarget = [8.9, 0.8, 4.0]\nhfov_deg = 80\n",
     "sofa": "eye = [5.3, 2.2, 12.4]\ntarget = [7.9, 0.5, 9.6]\nhfov_deg = 80\n",
     "living": "eye = [5.2, 2.3, 7.2]\ntarget = [7.6, 0.5, 10.2]\nhfov_deg = 80\n",
 }
 SHOTS = (
-    (0, "stove"),
+    (0, "kitchen"),
     (3, "sofa"),
-    (10, "stove"),
-    (20, "sofa"),
-    (24, "third_person"),
-    (30, "living"),
-    (36, "sofa"),
-    (39, "stove"),
-    (45, "sofa"),
+    (6, "fridge"),
+    (10, "sofa"),
+    (14, "stove"),
+    (22, "living"),
+    (27, "third_person"),
+    (31, "sofa"),
+    (38, "fridge"),
+    (44, "stove"),
+    (49, "sofa"),
+    (54, "third_person"),
 )
 """Seconds at which the shots begin, and their cameras: `CAMERAS`, or named ones."""
 

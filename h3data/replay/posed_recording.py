@@ -115,6 +115,7 @@ class PosedRecording:
         self._gestures: dict[int, Array | None] = {}
         self._gaits: dict[int, tuple[Any, Array]] = {}
         self._joints = _recorded_joints(recording, self.scene)
+        self._moved: tuple[bytes, Array] | None = None
         refs = {ref.name: ref for ref in recording.assets}
         rigs = {rig["body"]: rig for rig in recording.episode.info.get("rigs", ())}
         for body in recording.bodies:
@@ -324,7 +325,11 @@ class PosedRecording:
         """
         if self._joints is None:
             return np.zeros((len(steps), 0, 4, 4))
-        return self._joints.motions(self.recording.columns[JOINTS][steps].astype(np.float64))
+        positions = self.recording.columns[JOINTS][steps].astype(np.float64)
+        # each thing that moves asks for its own step by step, and in most steps no joint has moved
+        if self._moved is None or self._moved[0] != positions.tobytes():
+            self._moved = positions.tobytes(), self._joints.motions(positions)
+        return self._moved[1]
 
     def joint_matrices(self, agent: int, steps: NDArray[np.integer]) -> NDArray[np.floating]:
         """Return the world matrices of a person's 55 joints at ``steps``, shape [T, 55, 4, 4]."""
