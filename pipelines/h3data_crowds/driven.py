@@ -85,7 +85,7 @@ class DrivenHands(HandWork):
         if plan is None:
             return (yield from actor.perform(self._phone(np.append(actor.xz, actor.heading))))
         place = np.append(plan.root[[0, 2]], heading_from_quat(plan.root[3:]))
-        walked = yield from actor.go_to(place, plan.spot)
+        walked = yield from actor.walk_to_stand(place, plan.spot)
         actor.person.look_at = None
         if walked.outcome != "done":
             return walked

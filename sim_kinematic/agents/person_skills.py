@@ -232,7 +232,7 @@ class PersonActor:
             gets_there |= bool(np.isfinite(nearest_stand(self.free, stands, self.xz)[1]))
         else:
             return SkillResult("failed", "no_room" if gets_there else "no_way")
-        return (yield from self.go_to(stands[k], point))
+        return (yield from self.walk_to_stand(stands[k], point))
 
     def _look_at(self, point: NDArray) -> Skill:
         """Walk to the floor before a world point [3], and turn to it."""
@@ -241,7 +241,7 @@ class PersonActor:
             return SkillResult("failed", "no_way")
         # heading 0 faces +x and positive turns left, so forward is (cos h, -sin h) in (x, z)
         x, z = point[[0, 2]] - goal
-        return (yield from self.go_to(np.append(goal, np.arctan2(-z, x)), point))
+        return (yield from self.walk_to_stand(np.append(goal, np.arctan2(-z, x)), point))
 
     def stands(self, point: NDArray, hand: Hand, free: FreeSpace | None = None) -> Array:
         """Return stands ``(x, z, heading)`` [N, 3] within walking reach from which a hand reaches a world point [3]."""
@@ -278,10 +278,10 @@ class PersonActor:
                 near = stands[[self._reaches(stand, way[last], hand) for stand in stands]] if len(stands) else stands
                 n, left = nearest_stand(self.free, near, self.xz, crowds(near, self.others) if len(near) else None)
                 if np.isfinite(left):
-                    return (yield from self.go_to(near[n], way[0]))
+                    return (yield from self.walk_to_stand(near[n], way[0]))
         return SkillResult("failed", "no_way")
 
-    def go_to(self, stand: Array, point: Array) -> Skill:
+    def walk_to_stand(self, stand: Array, point: Array) -> Skill:
         """Walk to a stand ``(x, z, heading)`` [3] and look at a world point [3] there."""
         waited = yield from self._walk(stand[:2], facing=float(stand[2]))
         # turned away in mid-walk: the skill ends at a stand and not in the middle of a step

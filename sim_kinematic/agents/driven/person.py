@@ -235,7 +235,7 @@ class DrivenPerson(PersonActor):
             return SkillResult("failed", "no_seat")
         x, z, heading = place.before.tolist()
         ahead = np.array([x + math.cos(heading), self.person.base[1] + DRIVEN.eyes_m, z - math.sin(heading)])
-        walked = yield from self.go_to(place.before, ahead)
+        walked = yield from self.walk_to_stand(place.before, ahead)
         self.person.look_at = None
         if walked.outcome != "done":
             return walked
