@@ -6,7 +6,15 @@ from h3data.bodies import JOINT_INDEX, load_humanoid
 from h3data.bodies.people.kernels.attention import turn_gaze
 from h3data.bodies.people.kernels.single_pose import blend_pose, frame_of_joint, hold
 from h3data.bodies.people.reach import grasp_point, hand_points
-from h3data.geometry import IDENTITY_POSE, ground_pose, pose_multiply, quat_from_matrix, quat_nlerp
+from h3data.geometry import (
+    IDENTITY_POSE,
+    ground_pose,
+    pose_multiply,
+    quat_from_heading,
+    quat_from_matrix,
+    quat_multiply,
+    quat_nlerp,
+)
 from sim_kinematic.agents.person import ARM_CHAINS, seen_from
 
 
@@ -19,7 +27,8 @@ def test_a_single_pose_has_the_bits_of_the_functions_for_many() -> None:
     rng, body, out, held = np.random.default_rng(0), load_humanoid("male_2"), np.empty((55, 4)), np.empty(7)
     for share in (0.0, 1.0, *rng.random(60).tolist()):
         quats, others, pelvis, frame = turns(rng, 55), turns(rng, 55), rng.normal(size=3), np.empty((1, 4, 4))
-        base, upright = ground_pose(rng.normal(size=2), float(rng.normal()), 0.1), turns(rng)
+        heading, stood = float(rng.normal()), turns(rng)
+        base, upright = ground_pose(rng.normal(size=2), heading, 0.1), quat_multiply(quat_from_heading(heading), stood)
         blend_pose(quats, others, share, out)
         np.testing.assert_array_equal(out, quat_nlerp(quats, others, np.full(55, share)))
         every = body.joint_matrices(base, quats[None], pelvis[None])
@@ -29,7 +38,7 @@ def test_a_single_pose_has_the_bits_of_the_functions_for_many() -> None:
             place = (frame[:, :3, :3] @ grasp_point(body, side) + frame[:, :3, 3])[0]
             np.testing.assert_array_equal(place, hand_points(every, body, side)[0])
             grip = np.concatenate([0.05 * rng.normal(size=3), turns(rng)])
-            hold(frame[0], place, grip, upright, share, held)
+            hold(frame[0], place, grip, heading, stood, share, held)
             rigid = pose_multiply(np.concatenate([place, quat_from_matrix(frame[0, :3, :3])]), grip)
             np.testing.assert_array_equal(held, [*rigid[:3], *quat_nlerp(upright, rigid[3:], share)])
 
