@@ -150,9 +150,11 @@ def test_fingers_are_offered_the_postures_that_there_are(server: Any, tmp_path: 
     x, z = place_to_lie("small:1").tolist()
     said = play("postures", f"{server.links[0]}@{x},{z}", tmp_path)
     assert said["layout"] == {}
-    assert said["away"][-2:] == ["Wave", "Phone"]
-    assert said["near"] == ["Sit down", "Lie down", "Wave", "Phone"]
-    assert said["lies"] == ["Get up"]
+    postures = {"Sit down", "Lie down", "Get up", "Wave", "Phone"}  # a chore may be near too
+    away, near, lies = ([name for name in said[when] if name in postures] for when in ("away", "near", "lies"))
+    assert away[-2:] == ["Wave", "Phone"]
+    assert near == ["Sit down", "Lie down", "Wave", "Phone"]
+    assert lies == ["Get up"]
 
 
 def test_a_fridge_a_tray_and_a_phone_are_used_by_fingers_and_keys(tmp_path: Path) -> None:
