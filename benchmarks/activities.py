@@ -23,7 +23,6 @@ All figures are the worst of all bodies.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -31,16 +30,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import h3data
-from benchmarks.chores import HOME, SEED, STOPS
+from benchmarks.chores import HOME, SEED, STOPS, without_doors
 from benchmarks.motion import motion_of
 from h3data.bodies import Humanoid, humanoid_names
 from h3data.geometry import pose_to_matrix
 from h3data.recording import Recording
-from h3data.recording.records import JOINTS
 from h3data.replay import Replay
-from h3data.scene.articulation import joints_of
 from h3data.scene.records import Box, instance_matrix
-from h3data.scene.scene_file import scene_bytes
 from h3data_crowds.chores import HAND, ChoreRoutine
 from h3data_crowds.routines import Stop
 from h3data_pipelines.validation.penetration import penetrations
@@ -134,16 +130,6 @@ def knuckles_m(replay: Replay, rows: NDArray[np.intp]) -> float:
         points = skin @ back[:3, :3].T + back[:3, 3]
         deepest = max(deepest, float((shape.half_extents - np.abs(points)).min(2).max()))
     return deepest
-
-
-def without_doors(recording: Recording) -> Recording:
-    """Return a recording whose home lacks the doors of furniture that move in it."""
-    scene, positions = Replay(recording).scene, recording.columns[JOINTS].astype(np.float64)
-    assert scene is not None
-    doors = {joints_of(scene).names[k] for k in np.flatnonzero(np.ptp(positions, axis=0) > 0)}
-    still = replace(scene, instances=tuple(i for i in scene.instances if i.name not in doors), articulations=())
-    columns = {name: values for name, values in recording.columns.items() if name != JOINTS}
-    return replace(recording, columns=columns, attachments={"scene.glb": scene_bytes(still)})
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
