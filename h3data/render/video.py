@@ -78,7 +78,7 @@ class VideoWriter:
             height: height of the frames [px].
             fps: frames per second.
             codec: video codec.
-            crf: quality, 0 is best; default 32 for AV1, and for H.264 a constant quantiser of 23, which takes a quarter less
+            crf: quality, 0 is best; default 32 for AV1, and for H.264 a constant quantiser of 23, which takes less
                 time than crf 23.
             preset: effort of the encoder, in the terms of x264 or SVT-AV1.
             key_frames: frames from one key frame to the next, for H.264, without B-frames: a decoder that jumps to a frame
