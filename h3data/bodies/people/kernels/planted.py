@@ -133,6 +133,10 @@ SWING_MPS, TOE_M = 3.0, 0.13
 distance [m], unless the steady gait is faster. The phase is slowed down to keep within the limit. Without this limit,
 toes moved 15 cm in a step on curves at 0.5 m/s."""
 
+WALKS_MPS, KNEE_SHARE = 1.6, 1.2
+"""Largest speed [m/s] at which ankle, ball and knee of a drawn leg are kept from moving faster than in the steady gait, and
+the factor by which knees move less than ankles do in it. Above this speed, people jog."""
+
 _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 _SPINES = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
 
@@ -691,6 +695,12 @@ def step_gait(table, state, x, z, heading, dt):
     forward = math.cos(middle) * dx - math.sin(middle) * dz
     rests = way < 1e-4 and abs(turned_by) < 1e-4
     velocity = math.copysign(way, forward) / dt
+    # the values do not count unless the legs are watched
+    still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    was = (still, still)
+    if table.clear > 0.0:
+        k, f = _row(table, state[SPEED])
+        was = (_leg_at(table, k, f, state, 0), _leg_at(table, k, f, state, 1))
     state[X], state[Z], state[HEADING] = x, z, heading
     state[TIME] += dt
     state[TURN] += TURN_SHARE * (turned_by / dt - state[TURN])
@@ -730,8 +740,9 @@ def step_gait(table, state, x, z, heading, dt):
             rate *= 1 + min(max(_lacks(table, k, f, state, behind) - 0.01, 0.0) / 0.04, 1.0)
         if stands and state[FOOT + SHARE] == 0.0 and state[FOOT + FOOT_COLUMNS + SHARE] == 0.0:
             _begin(table, k, f, state)
-        ahead = _unhurried(table, k, f, state, min(rate * dt, 0.12), dt)
-        _advance(table, k, f, state, ahead, rate, rests)
+        span = _at(table.stance, k, f) / max(rate, 0.3)
+        ahead = _unhurried(table, k, f, state, was, min(rate * dt, 0.12), span, dt)
+        _advance(table, k, f, state, ahead, span, rests)
         _show(state, ahead)
     _settle_pelvis(table, k, f, state, dt)
 
@@ -769,36 +780,80 @@ def _toes(table, k, f, state, foot, share):
 
 
 @kernel_part(borrows=True)
-def _unhurried(table, k, f, state, ahead, dt):
-    """Return the cycles, at most ``ahead``, by which the phase advances so that no swinging foot moves too fast."""
-    most = max((1 - 0.08 * table.clear) * SWING_MPS, _at(table.swing, k, f)) * dt
+def _is_watched(table, state):
+    """Return whether no part of a leg may move too fast: of people who are only drawn, while they walk."""
+    return table.clear > 0.0 and abs(state[SPEED]) <= WALKS_MPS
+
+
+@kernel_part(borrows=True)
+def _leg_at(table, k, f, state, foot):
+    """Return ankle, ball and knee of a leg as it is shown, in the body frame: left, up and ahead.
+
+    The distance of the knee from the hip is stretched by `KNEE_SHARE`.
+    """
+    ankle, pitch, _, yaw = _ankle(table, k, f, state, foot)
+    c, s = math.cos(math.radians(pitch)), math.sin(math.radians(pitch))
+    y, z = table.legs.feet[foot, 1, 1], table.legs.feet[foot, 1, 2]
+    along = c * z - s * y
+    ball = plus(ankle, (math.sin(yaw) * along, c * y + s * z, math.cos(yaw) * along), 1.0)
+    place, thigh, shank = _pelvis(table, state), table.legs.thigh, table.legs.shank
+    hip = plus(place, turned(_pelvis_turn(table, state), row3(table.legs.hips, foot)), 1.0)
+    path = plus(ankle, (hip[0], hip[1] - state[SINK], hip[2]), -1.0)
+    square = dot(path, path)
+    part = (thigh * thigh - shank * shank + square) / (2 * square)
+    turn, bow = 0.5 * yaw, math.sqrt(max(thigh * thigh - part * part * square, 0.0))
+    # forwards, less what is along the leg
+    knee = (math.sin(turn), 0.0, math.cos(turn))
+    knee = plus(knee, path, -dot(knee, path) / square)
+    knee = plus((part * path[0], part * path[1], part * path[2]), knee, bow / math.sqrt(max(dot(knee, knee), 1e-9)))
+    return ankle, ball, (KNEE_SHARE * knee[0], KNEE_SHARE * knee[1], KNEE_SHARE * knee[2])
+
+
+@kernel_part(borrows=True)
+def _unhurried(table, k, f, state, was, ahead, span, dt):
+    """Return the cycles, at most ``ahead``, by which the phase advances so that no swinging leg moves too fast.
+
+    What differs from the gait fades by a share. Legs of drawn people were at ``was`` (`_leg_at`) one step ago. Their
+    landing positions move here, as feet move along with them; those of other people move in `_advance`.
+    """
+    watched = _is_watched(table, state)
+    most = max(SWING_MPS, (1.0 + 0.04 * watched) * _at(table.swing, k, f)) * dt
     slowest = ahead
     for foot in range(2):
-        share = state[FOOT + foot * FOOT_COLUMNS + SHARE]
-        if state[FOOT + foot * FOOT_COLUMNS + AIR] == 0.0:
+        at = FOOT + foot * FOOT_COLUMNS
+        for i in range(4):  # by a share, so that the difference has no end that could be seen
+            state[at + SHAPE_OFF + i] *= SHAPE_LEFT
+        share = state[at + SHARE]
+        if state[at + AIR] == 0.0:
             continue
         rest = max(1.0 - _own_phase(state[PHASE], foot), 1e-9)
         ax, az, bx, bz = _toes(table, k, f, state, foot, share)
+        if watched:
+            _aim(table, k, f, state, foot, span, ahead)
         for _ in range(2):  # the path is nearly straight
-            after = share + (1 - share) * min(slowest / rest, 1.0)
-            cx, cz, dx, dz = _toes(table, k, f, state, foot, after)
-            moved = max(math.hypot(cx - ax, cz - az), math.hypot(dx - bx, dz - bz))
+            after, moved = share + (1 - share) * min(slowest / rest, 1.0), 0.0
+            if watched:
+                state[at + SHARE] = after
+                there = _leg_at(table, k, f, state, foot)
+                state[at + SHARE] = share
+                for i in range(3):
+                    way = plus(there[i], was[foot][i], -1.0)
+                    moved = max(moved, math.sqrt(dot(way, way)))
+            else:
+                cx, cz, dx, dz = _toes(table, k, f, state, foot, after)
+                moved = max(math.hypot(cx - ax, cz - az), math.hypot(dx - bx, dz - bz))
             if moved > most:
                 slowest *= most / moved
     return slowest
 
 
 @kernel_part(borrows=True)
-def _advance(table, k, f, state, ahead, rate, rests):
-    """Advance the phase by ``ahead`` cycles, in which feet leave the floor, fly and land."""
+def _advance(table, k, f, state, ahead, span, rests):
+    """Advance the phase by ``ahead`` cycles, in which feet leave the floor, fly and land; a stance lasts ``span`` [s]."""
     stance = _at(table.stance, k, f)
-    span = stance / max(rate, 0.3)
     landed, shapes = -1, (0.0, 0.0, 0.0, 0.0)
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
-        # what differs from the gait fades by a share in each step, so that it has no end that could be seen
-        for i in range(4):
-            state[at + SHAPE_OFF + i] *= SHAPE_LEFT
         own = _own_phase(state[PHASE], foot)
         after = own + ahead
         if state[at + AIR] == 0.0:
@@ -814,7 +869,8 @@ def _advance(table, k, f, state, ahead, rate, rests):
             # strike
             state[at + SHARE] += (1 - state[at + SHARE]) * min(ahead / max(1.0 - own, 1e-9), 1.0)
         if state[at + AIR] > 0.0:
-            _aim(table, k, f, state, foot, span, ahead)
+            if not _is_watched(table, state):
+                _aim(table, k, f, state, foot, span, ahead)
             if after >= 1.0:
                 state[at + SHARE] = 1.0
                 left, onward, yaw, _ = _swing_place(table, k, f, state, foot)
