@@ -133,9 +133,9 @@ SWING_MPS, TOE_M = 3.0, 0.13
 distance [m], unless the steady gait is faster. The phase is slowed down to keep within the limit. Without this limit,
 toes moved 15 cm in a step on curves at 0.5 m/s."""
 
-WALKS_MPS, KNEE_SHARE = 1.6, 1.2
+WALKS_MPS, KNEE_SHARE = 1.6, 1.25
 """Largest speed [m/s] at which ankle, ball and knee of a drawn leg are kept from moving faster than in the steady gait, and
-the factor by which knees move less than ankles do in it. Above this speed, people jog."""
+the factor by which knees move less than ankles in it. Above this speed, people jog."""
 
 _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 _SPINES = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
@@ -538,6 +538,19 @@ def _write_feet(table, state, ankle, foot):
 
 
 @kernel_part(borrows=True)
+def _knee_from(table, path, turn):
+    """Return the place of a knee from its hip, and how far it is off the line to the ankle.
+
+    ``path`` is from hip to ankle, and ``turn`` the direction of the knee [rad].
+    """
+    thigh, shank, square = table.legs.thigh, table.legs.shank, dot(path, path)
+    # the knee is on a circle of radius ``bow`` about the line from hip to ankle
+    part = (thigh * thigh - shank * shank + square) / (2 * square)
+    bow = math.sqrt(max(thigh * thigh - part * part * square, 0.0))
+    return part * path[0] + bow * math.sin(turn), part * path[1], part * path[2] + bow * math.cos(turn), bow
+
+
+@kernel_part(borrows=True)
 def _knee(table, state, quats, pelvis, ankle, foot, side):
     """Returns the outward component of the direction of a knee, as `write_legs` needs it.
 
@@ -546,18 +559,15 @@ def _knee(table, state, quats, pelvis, ankle, foot, side):
     """
     if table.clear == 0.0:
         return KNEES[side]
-    thigh, shank, yaw = table.legs.thigh, table.legs.shank, math.radians(foot[side, 1])
+    yaw = math.radians(foot[side, 1])
     hip = plus((pelvis[0], pelvis[1], pelvis[2]), turned(row4(quats, 0), row3(table.legs.hips, side)), 1.0)
-    path = plus(row3(ankle, side), hip, -1.0)
-    # the knee is on a circle of radius ``bow`` about the line from hip to ankle
-    square = dot(path, path)
-    part = (thigh * thigh - shank * shank + square) / (2 * square)
-    turn, bow = 0.5 * yaw + KNEES[side], math.sqrt(max(thigh * thigh - part * part * square, 0.0))
+    path, turn = plus(row3(ankle, side), hip, -1.0), 0.5 * yaw + KNEES[side]
     for _ in range(3):
         c, s = math.cos(turn), math.sin(turn)
-        room, away = _room_at(table, state, hip[0] + part * path[0] + bow * s, hip[2] + part * path[2] + bow * c)
+        knee = _knee_from(table, path, turn)
+        room, away = _room_at(table, state, hip[0] + knee[0], hip[2] + knee[2])
         # 0.12: distance of a knee from obstacles [m], a little more than its radius
-        turn += min(max(0.12 - room, 0.0) / max(bow, 0.05), 0.5) * (c * away[0] - s * away[1])
+        turn += min(max(0.12 - room, 0.0) / max(knee[3], 0.05), 0.5) * (c * away[0] - s * away[1])
     return math.tan(min(max(turn, -0.8), 0.8)) * math.cos(yaw) - math.sin(yaw)
 
 
@@ -695,12 +705,10 @@ def step_gait(table, state, x, z, heading, dt):
     forward = math.cos(middle) * dx - math.sin(middle) * dz
     rests = way < 1e-4 and abs(turned_by) < 1e-4
     velocity = math.copysign(way, forward) / dt
-    # the values do not count unless the legs are watched
+    k, f = _row(table, state[SPEED])
     still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    was = (still, still)
-    if table.clear > 0.0:
-        k, f = _row(table, state[SPEED])
-        was = (_leg_at(table, k, f, state, 0), _leg_at(table, k, f, state, 1))
+    drawn = table.clear > 0.0
+    was = (_leg_at(table, k, f, state, 0), _leg_at(table, k, f, state, 1)) if drawn else (still, still)
     state[X], state[Z], state[HEADING] = x, z, heading
     state[TIME] += dt
     state[TURN] += TURN_SHARE * (turned_by / dt - state[TURN])
@@ -772,11 +780,11 @@ def _turn_look(state, dt):
 
 @kernel_part(borrows=True)
 def _toes(table, k, f, state, foot, share):
-    """Return ankle and toes of a swinging foot along the floor in the body frame, left and ahead, if it is free."""
+    """Return ankle and toes of a swinging foot along the floor in the body frame, if it is free: left, 0 and ahead."""
     left, ahead, yaw, _ = _swing_line(table, k, f, state, foot, share)
     along = _curve(table.swing_path, k, f, share, 0)
-    s, c = math.sin(yaw), math.cos(yaw)
-    return left + s * along, ahead + c * along, left + s * (along + TOE_M), ahead + c * (along + TOE_M)
+    s, c, toes = math.sin(yaw), math.cos(yaw), along + TOE_M
+    return (left + s * along, 0.0, ahead + c * along), (left + s * toes, 0.0, ahead + c * toes), (0.0, 0.0, 0.0)
 
 
 @kernel_part(borrows=True)
@@ -787,38 +795,24 @@ def _is_watched(table, state):
 
 @kernel_part(borrows=True)
 def _leg_at(table, k, f, state, foot):
-    """Return ankle, ball and knee of a leg as it is shown, in the body frame: left, up and ahead.
-
-    The distance of the knee from the hip is stretched by `KNEE_SHARE`.
-    """
+    """Return ankle, ball and knee of a leg in the body frame: left, up and ahead. The knee points half where the foot does."""
     ankle, pitch, _, yaw = _ankle(table, k, f, state, foot)
-    c, s = math.cos(math.radians(pitch)), math.sin(math.radians(pitch))
-    y, z = table.legs.feet[foot, 1, 1], table.legs.feet[foot, 1, 2]
-    along = c * z - s * y
-    ball = plus(ankle, (math.sin(yaw) * along, c * y + s * z, math.cos(yaw) * along), 1.0)
-    place, thigh, shank = _pelvis(table, state), table.legs.thigh, table.legs.shank
-    hip = plus(place, turned(_pelvis_turn(table, state), row3(table.legs.hips, foot)), 1.0)
-    path = plus(ankle, (hip[0], hip[1] - state[SINK], hip[2]), -1.0)
-    square = dot(path, path)
-    part = (thigh * thigh - shank * shank + square) / (2 * square)
-    turn, bow = 0.5 * yaw, math.sqrt(max(thigh * thigh - part * part * square, 0.0))
-    # forwards, less what is along the leg
-    knee = (math.sin(turn), 0.0, math.cos(turn))
-    knee = plus(knee, path, -dot(knee, path) / square)
-    knee = plus((part * path[0], part * path[1], part * path[2]), knee, bow / math.sqrt(max(dot(knee, knee), 1e-9)))
-    return ankle, ball, (KNEE_SHARE * knee[0], KNEE_SHARE * knee[1], KNEE_SHARE * knee[2])
+    c, s, (_, y, z) = math.cos(math.radians(pitch)), math.sin(math.radians(pitch)), row3(table.legs.feet[foot], 1)
+    ball = (math.sin(yaw) * (c * z - s * y), c * y + s * z, math.cos(yaw) * (c * z - s * y))
+    hip = plus(_pelvis(table, state), turned(_pelvis_turn(table, state), row3(table.legs.hips, foot)), 1.0)
+    knee = _knee_from(table, plus(ankle, (hip[0], hip[1] - state[SINK], hip[2]), -1.0), 0.5 * yaw)
+    return ankle, plus(ankle, ball, 1.0), knee[:3]
 
 
 @kernel_part(borrows=True)
 def _unhurried(table, k, f, state, was, ahead, span, dt):
     """Return the cycles, at most ``ahead``, by which the phase advances so that no swinging leg moves too fast.
 
-    What differs from the gait fades by a share. Legs of drawn people were at ``was`` (`_leg_at`) one step ago. Their
-    landing positions move here, as feet move along with them; those of other people move in `_advance`.
+    What differs from the gait fades by a share. Watched legs were at ``was`` (`_leg_at`) one step ago. Their landing
+    positions move here, as feet move along with them; those of others move in `_advance`.
     """
-    watched = _is_watched(table, state)
+    watched, slowest = _is_watched(table, state), ahead
     most = max(SWING_MPS, (1.0 + 0.04 * watched) * _at(table.swing, k, f)) * dt
-    slowest = ahead
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
         for i in range(4):  # by a share, so that the difference has no end that could be seen
@@ -827,23 +821,17 @@ def _unhurried(table, k, f, state, was, ahead, span, dt):
         if state[at + AIR] == 0.0:
             continue
         rest = max(1.0 - _own_phase(state[PHASE], foot), 1e-9)
-        ax, az, bx, bz = _toes(table, k, f, state, foot, share)
+        before = was[foot] if watched else _toes(table, k, f, state, foot, share)
         if watched:
             _aim(table, k, f, state, foot, span, ahead)
         for _ in range(2):  # the path is nearly straight
-            after, moved = share + (1 - share) * min(slowest / rest, 1.0), 0.0
-            if watched:
-                state[at + SHARE] = after
-                there = _leg_at(table, k, f, state, foot)
-                state[at + SHARE] = share
-                for i in range(3):
-                    way = plus(there[i], was[foot][i], -1.0)
-                    moved = max(moved, math.sqrt(dot(way, way)))
-            else:
-                cx, cz, dx, dz = _toes(table, k, f, state, foot, after)
-                moved = max(math.hypot(cx - ax, cz - az), math.hypot(dx - bx, dz - bz))
-            if moved > most:
-                slowest *= most / moved
+            state[at + SHARE], moved = share + (1 - share) * min(slowest / rest, 1.0), 0.0
+            there = _leg_at(table, k, f, state, foot) if watched else _toes(table, k, f, state, foot, state[at + SHARE])
+            for i in range(3):
+                left, up, onward = plus(there[i], before[i], -1.0)
+                moved = max(moved, math.hypot(math.hypot(left, onward), up) * (1.0, 1.0, KNEE_SHARE)[i])
+            slowest *= min(most / max(moved, 1e-9), 1.0)
+        state[at + SHARE] = share
     return slowest
 
 
