@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import JOINT_INDEX, Humanoid
+from h3data.bodies.people.arms import draw_in
 from h3data.bodies.people.gestures import ARMS, BOTH, NAMES, add_gestures, lead_hands
 from h3data.bodies.people.reach import Hand, grasp_point, hand_points, reach_poses, reacher
 from h3data.bodies.people.sitting import take_seats
@@ -40,10 +41,11 @@ from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Box, Instance, instance_bounds, instance_matrix
 from h3data_crowds.routines import KEPT, PERSON_M, Routine, Stop, place_beside
+from sim_kinematic.agents.arm_tuck import held_close
 from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station
 from sim_kinematic.crowd.seating import SETTLE_S, steps_between
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 
 CHORES = {"take": 8.0, "lift": 4.0, "put": 4.3, "phone": 3.0, "knock": 3.0}
 """Chores by name, with the shortest time that each of them needs [s].
@@ -122,6 +124,40 @@ BREAKFAST: tuple[tuple[tuple[str, tuple[str, ...], float], ...], ...] = (
     (("phone", ("window", "bookshelf", "plant"), 10.0),),
 )
 """Parts of a breakfast (activity, categories of things, duration [s]), some of which each person leaves out."""
+
+
+class CarryingHands(HandWork):
+    """Hands that hold a small thing close to the body where there is little room, as in rearrangement (`held_close`)."""
+
+    def __init__(self, things: tuple[Body, ...], assets: tuple[AssetRef, ...], body: Humanoid) -> None:
+        """Create empty hands of a body."""
+        super().__init__(things, assets)
+        quats, pelvis = body.clip_pose(np.zeros(1, np.int64), np.zeros(1))
+        draw_in(quats, (1.0, 1.0), shoulders_forward=True)
+        frames = body.joint_matrices(IDENTITY_POSE[None], quats, pelvis)
+        self.folded = np.stack([hand_points(frames, body, hand)[0] for hand in BOTH])
+        """Places of the palms of folded arms, left and right, in the agent root frame [2, 3] [m]."""
+        self.carries = False
+        """True while the person walks about with a thing in ``hand``, and False during chores."""
+        self.hand = 0
+        self.close = 0.0
+        """How close to the body the thing is, from 0 (as it is carried where there is room) to 1 (at a folded arm)."""
+
+    def beside(
+        self, free: FreeSpace, place: Array, heading: float, walker: WalkerSpec, arms: Array
+    ) -> tuple[Array, dict[int, Array]]:
+        """Return ``lead`` and ``held`` as `HandWork.beside` does, moved by one step towards the room that there is."""
+        rules, wanted, (ahead, _, aside) = walker.arms, 0.0, self.lead[self.hand, :3].tolist()
+        if self.carries and rules is not None:
+            # no farther out than an arm that holds nothing would be here
+            wanted = max(held_close(free, place, heading, (ahead, aside), walker, rules), float(arms[self.hand]))
+        rate = 1.0 if rules is None else rules.rate
+        self.close += min(max(wanted - self.close, -rate), rate)
+        if self.close == 0.0:
+            return self.lead, self.held
+        lead, inward = self.lead.copy(), self.close * (self.folded[self.hand] - self.lead[self.hand, :3])
+        lead[self.hand, :3] += inward
+        return lead, {n: np.append(pose[:3] + inward, pose[3:]) for n, pose in self.held.items()}
 
 
 class Chore(NamedTuple):
@@ -214,7 +250,7 @@ class ChoreRoutine(Routine):
             self.own[k] = len(things)
             things.append(_body(held, np.concatenate([plan.spot, plan.root[3:]]), count))
         looks = dict.fromkeys(thing.asset for thing in things)
-        self.use(HandWork(tuple(things), tuple(LOOKS[name][0] for name in looks)))
+        self.use(CarryingHands(tuple(things), tuple(LOOKS[name][0] for name in looks), body))
         scale = reacher(body, "right").body.scale
         self._carry = np.stack([CARRIED * scale * (1, 1, -1), CARRIED * scale])
         self._tray_at = _carried_tray(body, scale)
@@ -223,7 +259,7 @@ class ChoreRoutine(Routine):
         self._gone: set[int] = set()
         """Numbers of the things that have been taken."""
 
-    def use(self, hands: HandWork) -> None:
+    def use(self, hands: CarryingHands) -> None:
         """Change the state of other hands, which have the same things, from now on."""
         self.hands: HandWork | None = hands
         self._work = hands
@@ -294,9 +330,10 @@ class ChoreRoutine(Routine):
             place: Place ``(x, z, heading)`` of the person [3].
             seconds: Time for the chore, including `SETTLES_S` for getting there [s].
         """
+        work, self._work.carries = self._work, False
         for _ in range(round(SETTLE_S / STEP_S)):
             yield place, 0.0
-        work, t = self._work, np.arange(round((seconds - SETTLES_S) / STEP_S)) * STEP_S
+        t = np.arange(round((seconds - SETTLES_S) / STEP_S)) * STEP_S
         puts = plan.name == "put"
         moves = self._put(plan, t) if puts else self._take_up(plan, t) if plan.name == "lift" else self._take(plan, t)
         assert not puts or self.holds is not None
@@ -313,6 +350,7 @@ class ChoreRoutine(Routine):
             yield place, 0.0
             if puts and n == moves.moment:
                 del work.held[number]
+        work.carries, work.hand = self.holds is not None and moves.hand < 2, moves.hand % 2
 
     def _look_at_phone(self, place: Array, number: int, here: Array, seconds: float) -> Motion:
         """Yield the motion of a person who looks at a phone while they turn to a place [3] and stand there."""

@@ -15,13 +15,13 @@ from h3data.errors import InputError
 from h3data.geometry import Array, heading_from_quat, minimum_jerk, pose_multiply
 from h3data.recording import Event
 from h3data.scene.records import instance_bounds
-from h3data_crowds.chores import BREAKFAST, CHORES, SETTLES_S, Chore, ChoreRoutine, planned
+from h3data_crowds.chores import BREAKFAST, CHORES, SETTLES_S, CarryingHands, Chore, ChoreRoutine, planned
 from h3data_crowds.chores import chosen_stops as stops_in
 from h3data_crowds.routines import Stop
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.skills import CHORE, CONTROL, Action, Skill, SkillResult
 from sim_kinematic.agents.skills import CHORES as NUMBERED
-from sim_kinematic.crowd.errands import HandWork, Motion
+from sim_kinematic.crowd.errands import Motion
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S
 
@@ -45,13 +45,13 @@ AJAR = 0.05
 """Angle up to which a door counts as closed [rad]."""
 
 
-class DrivenHands(HandWork):
+class DrivenHands(CarryingHands):
     """Hands of a person who is driven from outside, with the chores that commands start."""
 
     def __init__(self, routine: ChoreRoutine, scene: Any, free: Any, body: Any, start: Array, number: int) -> None:
         """Take over the things of a routine; the other arguments are those of `ChoreRoutine`."""
         assert routine.hands is not None
-        super().__init__(routine.hands.things, routine.hands.assets)
+        super().__init__(routine.hands.things, routine.hands.assets, body)
         self.routine, self.number = routine, number
         self.poses = np.array([thing.pose for thing in self.things], np.float64).reshape(-1, 7)
         """Pose (pose7) of each thing in the world, NaN where it is absent, [T, 7]."""

@@ -19,6 +19,7 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.records import instance_bounds
+from sim_kinematic.crowd.crowd import ROUTINE_VERSION, VERSION
 from sim_kinematic.crowd.errands import Errand, HandWork
 from sim_kinematic.crowd.seating import Seats
 from sim_kinematic.motion.randomness import generator
@@ -155,6 +156,7 @@ class Routine:
         self.stops = tuple(stops)
         self.hands: HandWork | None = None
         """Work of the person's hands; None: they handle nothing."""
+        self.version = ROUTINE_VERSION
         self._scene, self._free, self._next = scene, free, 0
         self._seats = None if body is None else Seats(scene, free, body)
 
@@ -198,7 +200,14 @@ class Routine:
                     continue
                 if np.isfinite(self._free.geodesic(xz, place.before[:2])):
                     at = np.asarray(place.before[:2], np.float64)
-                    errand = Errand(np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, place.station())
+                    errand = Errand(
+                        np.zeros((0, 2)),
+                        stop.seconds,
+                        None,
+                        stop.activity,
+                        stop.place,
+                        place.station(brisk=self.version > VERSION),
+                    )
                     return (at, errand), refused
         beside = place_beside(self._scene, self._free, stop.place, xz)
         if beside is not None and all(np.hypot(*(beside[0] - other[:2])) >= PERSON_M for other in taken):

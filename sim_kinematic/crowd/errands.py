@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.recording import AssetRef, Body
+from h3data.scene import FreeSpace
+from sim_kinematic.motion.spec import WalkerSpec
 
 Motion = Iterator[tuple[Array, float]]
 """Place ``(x, z, heading)`` [3] of a person and their posture after each step: 0 is standing, 1 sitting and 2 lying."""
@@ -46,6 +48,12 @@ class HandWork:
     events: list[tuple[str, str, str]] = field(default_factory=list)
     """New events: kind, name of the thing, and detail."""
 
+    def beside(
+        self, free: FreeSpace, place: Array, heading: float, walker: WalkerSpec, arms: Array
+    ) -> tuple[Array, dict[int, Array]]:
+        """Return ``lead`` and ``held`` after a step to a place [2], with folded ``arms`` [2], as the room there allows."""
+        return self.lead, self.held
+
 
 class Errand(NamedTuple):
     """Errand of a person: a path to a place, and the time that they stay there."""
@@ -78,6 +86,8 @@ class Agenda(Protocol):
     """Place, activity and duration [s] of each stop, which recordings store."""
     hands: HandWork | None
     """State of the person's hands; None: they handle nothing."""
+    version: int
+    """Version of the rules of the person (`sim_kinematic.crowd.crowd.VERSION`)."""
 
     def next_stop(
         self, xz: NDArray[np.float64], taken: Sequence[Array] = ()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,8 @@ SIT_S, RISE_S, SETTLE_S, LIE_S = 2.0, 1.8, 1.5, 5.0
 """Durations of sitting down, of getting up, of standing still before either, and of lying down or sitting up [s]."""
 STEP_MPS, TURN_RAD_S = 0.35, 1.2
 """Mean speeds of steps [m/s] and of turns [rad/s] in front of a seat."""
+BRISK, BRISK_SETTLE_S = 1.5, 0.5
+"""Factor of these speeds for people with routines before they sit down, and time for which they stand still then [s]."""
 AWAY_M = tuple(0.1 * k for k in range(1, 13))
 """Distances that are tried between the place where people turn and the place where they stand before they sit down [m];
 the first with enough room is used."""
@@ -61,11 +64,9 @@ class SeatPlace(NamedTuple):
         """Place ``(x, z, heading)`` of the person who uses the seat, and distance [m] that others keep from it, [4]."""
         return np.append(*((self.stand, APART_M) if self.lie is None else (self.lie[:3], LIES_APART_M)))
 
-    def station(self) -> Station:
-        """Return the station at which a person of a crowd uses the seat."""
-        return Station(
-            self.seat.name, self.seat.height_m, self.taken, lambda here, seconds: sit_for(here, self, seconds)
-        )
+    def station(self, *, brisk: bool) -> Station:
+        """Return the station at which a person of a crowd uses the seat, who moves ``brisk`` before they sit down."""
+        return Station(self.seat.name, self.seat.height_m, self.taken, partial(sit_for, place=self, brisk=brisk))
 
 
 def fit(body: Humanoid, seat: Seat) -> Sitting:
@@ -228,9 +229,9 @@ class Seats:
         return True
 
 
-def sit_for(here: Array, place: SeatPlace, seconds: float) -> Motion:
+def sit_for(here: Array, seconds: float, place: SeatPlace, *, brisk: bool = False) -> Motion:
     """Yield the motion of a person who walks from a place [3] before a seat, sits for some time, and returns there."""
-    yield from take_seat(here, place)
+    yield from take_seat(here, place, brisk=brisk)
     way = lying_way(place)
     at, up = way[-1]
     yield from way[1:]
@@ -262,11 +263,11 @@ def root_at(place: SeatPlace, share: float) -> Array:
     return np.array([x - hips * math.cos(turned), z + hips * math.sin(turned), turned])
 
 
-def take_seat(here: Array, place: SeatPlace) -> Motion:
+def take_seat(here: Array, place: SeatPlace, *, brisk: bool = False) -> Motion:
     """Yield the motion of a person who comes from a place [3] before a seat and sits down."""
     for start, end in ((here, place.before), (place.before, place.stand)):
-        yield from steps_between(start, end)
-    yield from _shares(place.stand, 0, 0, SETTLE_S)
+        yield from steps_between(start, end, BRISK if brisk else 1.0)
+    yield from _shares(place.stand, 0, 0, BRISK_SETTLE_S if brisk else SETTLE_S)
     yield from _shares(place.stand, 0, 1, SIT_S)
 
 
@@ -287,11 +288,11 @@ def _shares(at: Array, start: float, end: float, seconds: float) -> Motion:
         yield at, share
 
 
-def steps_between(start: Array, end: Array) -> Motion:
-    """Yield the motion of a person who steps and turns from one place [3] to another."""
+def steps_between(start: Array, end: Array, pace: float = 1.0) -> Motion:
+    """Yield the motion of a person who steps and turns from one place [3] to another, at a multiple of the usual speed."""
     turn = float(wrap_angle(end[2] - start[2]))
     gap = end[:2] - start[:2]
-    steps = math.ceil(max(math.hypot(*gap) / STEP_MPS, abs(turn) / TURN_RAD_S) / STEP_S)
+    steps = math.ceil(max(math.hypot(*gap) / STEP_MPS, abs(turn) / TURN_RAD_S) / STEP_S / pace)
     for k in range(1, steps + 1):
         u = smoothstep(k / steps)
         yield np.append(start[:2] + u * gap, start[2] + u * turn), 0.0

@@ -36,9 +36,14 @@ class CrowdMember:
     seed: int
     """Seed of the episode."""
     version: int = VERSION
-    """Version of the rules of the crowd."""
+    """Version of the rules of the person."""
     hands: HandWork | None = None
     """State of the person's hands; None: they handle nothing."""
+
+    @property
+    def avoids(self) -> int:
+        """Version of the rules by which the person avoids others: by those of version 6, people with routines touched."""
+        return 5 if self.version > VERSION else self.version
 
 
 class Moment(NamedTuple):
@@ -132,7 +137,7 @@ class Crowds:
                 stride=people[0].walker.stride,
                 # one for all crowds, so that people of two models do not sit down on one seat
                 places=self._places,
-                version=min(person.version for person in people),
+                version=min(person.avoids for person in people),
             )
             # people of other models and policies are obstacles that move
             own, discs = [number - robots for number in members], range(len(moment.radii))
@@ -158,21 +163,25 @@ class Crowds:
         for number, place, angle, (height, share) in zip(members, places, headings.tolist(), seats, strict=True):
             self._moved[number] = PoseAction(place, angle, (height, share))
             if (work := members[number].hands) is not None:
-                self._handle(
-                    number, work, root_pose(self._world.roster[number].body, place, angle, members[number].free)
-                )
+                self._handle(number, members[number], work, place, angle)
 
-    def _handle(self, number: int, work: HandWork, root: Array) -> None:
-        """Move hands, doors and things by what a person does whose root is at a pose [7] after this step."""
-        state, w = self._world.state, self._row
-        state.people[number - len(state.robots)].hands[w] = work.lead
+    def _handle(self, number: int, member: CrowdMember, work: HandWork, place: Array, heading: float) -> None:
+        """Move hands, doors and things by what a person does who is at a place [2] with a heading after this step."""
+        state, w, lead, held = self._world.state, self._row, work.lead, work.held
+        person, root = (
+            state.people[number - len(state.robots)],
+            root_pose(self._world.roster[number].body, place, heading, member.free),
+        )
+        if member.version > VERSION:
+            lead, held = work.beside(member.free, place, heading, member.walker, person.arms[w])
+        person.hands[w] = lead
         # worlds that learners step hold neither doors nor things
         for k, position in work.joints.items() if state.joint_pos.shape[1] else ():
             state.joint_pos[w, k] = position
         work.joints.clear()
         others = [member for members in self._members.values() for n, member in members.items() if n < number]
         first = sum(len(member.hands.things) for member in others if member.hands is not None)
-        for k, pose in work.held.items() if state.object_pose.shape[1] else ():
+        for k, pose in held.items() if state.object_pose.shape[1] else ():
             state.object_pose[w, first + k] = pose_multiply(root, pose)
         name = self._world.roster[number].name
         for kind, thing, detail in work.events:

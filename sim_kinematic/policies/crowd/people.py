@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
-from sim_kinematic.crowd.crowd import VERSION, CrowdModel
+from sim_kinematic.crowd.crowd import ROUTINE_VERSION, VERSION, CrowdModel
 from sim_kinematic.crowd.errands import Agenda, Errand, HandWork
 from sim_kinematic.crowd.roles import ALONE, Role
 from sim_kinematic.crowd.traits import sample_traits
@@ -53,8 +53,7 @@ class CrowdPolicy:
             role=role,
             seed=seed,
             hands=None if routine is None else routine.hands,
-            # by the rules of version 6, people with routines touched
-            version=VERSION if routine is None else 5,
+            version=VERSION if routine is None else ROUTINE_VERSION,
         )
 
     @property
@@ -79,6 +78,8 @@ class CrowdPolicy:
         """Decide by the version of the rules that a recording's ``facts`` name; by the first if they name none."""
         version = facts.get("version") if isinstance(facts, dict) else None
         self.member = replace(self.member, version=version if isinstance(version, int) else 1)
+        if self._routine is not None:
+            self._routine.version = self.member.version
 
     @property
     def facts(self) -> dict[str, Any]:
