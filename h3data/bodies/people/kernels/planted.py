@@ -872,7 +872,10 @@ def _advance(table, k, f, state, ahead, span, rests):
                         table, k, f, state[SPEED], 0.0
                     )
                 shape = _shape(table, k, f, state, foot)
-                _plant(table, state, foot, (left, onward + past, yaw), True)
+                # where a drawn foot is shown, which may still be off the gait
+                off = table.clear * state[at + SHAPE_OFF + 2]
+                place = (left + math.sin(yaw) * off, onward + past + math.cos(yaw) * off, yaw)
+                _plant(table, state, foot, place, True)
                 landed, shapes = foot, shape
     state[PHASE] = (state[PHASE] + ahead) % 1.0
     if rests and state[FOOT + AIR] > 0.0 and state[FOOT + FOOT_COLUMNS + AIR] > 0.0:
