@@ -256,7 +256,7 @@ def _own_phase(phase, foot):
 def _foot_room(table, x, z):
     """Return the free distance of heel or toes beyond what they keep from walls and furniture [m]."""
     # drawn feet keep more: those of capsules are 5 cm thick, and distances are 1 cm too great at corners
-    return sample_sdf(table.sdf, table.origin, table.cell_m, x, z) - FOOT_ROOM_M * (1 + 0.4 * table.clear)
+    return sample_sdf(table.sdf, table.origin, table.cell_m, x, z) - FOOT_ROOM_M * (1 + 0.55 * table.clear)
 
 
 @kernel_part(borrows=True)
@@ -314,8 +314,9 @@ def _beside_things(table, state, foot, left, ahead, yaw, flat):
     # one look from the root answers for most feet in open rooms: nothing is nearer than that
     near, moved = _foot_room(table, state[X], state[Z]), False
     # heel and toe tip; only corners reach in between
-    for point in range(2 + int(table.clear)):
-        along = (feet[0, 2], feet[2, 2], 0.25 * feet[0, 2] + 0.75 * feet[2, 2])[point]
+    for point in range(2 + 2 * int(table.clear)):
+        part = (0.0, 1.0, 0.75, 0.45)[point]
+        along = (1.0 - part) * feet[0, 2] + part * feet[2, 2]
         at_x, at_z = x + c * along, z - s * along
         if math.hypot(at_x - state[X], at_z - state[Z]) > near:
             slid_x, slid_z = _slides_to(table, state[X], state[Z], at_x, at_z)
