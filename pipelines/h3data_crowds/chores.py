@@ -40,8 +40,9 @@ from h3data.recording import AssetRef, Body
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Box, Instance, instance_bounds, instance_matrix
-from h3data_crowds.routines import KEPT, PERSON_M, Routine, Stop, place_beside
+from h3data_crowds.routines import KEPT, PERSON_M, Routine, Stop, no_wall_between, place_beside
 from sim_kinematic.agents.arm_tuck import held_close
+from sim_kinematic.crowd.crowd import VERSION
 from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station
 from sim_kinematic.crowd.seating import SETTLE_S, steps_between
 from sim_kinematic.motion.randomness import generator
@@ -226,31 +227,9 @@ class ChoreRoutine(Routine):
             number: Number of the agent; people with different numbers put their things at different spots.
         """
         super().__init__(scene, free, stops, body)
-        self._body, self.plans, self.own = body, dict[int, Chore | InputError](), dict[int, int]()
-        things, held = list[Body](), ""
-        for k, stop in enumerate(self.stops):
-            if stop.activity not in CHORES or stop.activity in UNPLANNED:
-                named = {thing.name for thing in things}
-                if stop.activity == "phone" and "phone" not in named:
-                    things.append(_body("phone", np.full(7, np.nan)))
-                elif stop.activity == "read" and "book_cover_0" not in named:
-                    things += [_body(kind, np.full(7, np.nan), n) for n, (kind, _) in enumerate(BOOK)]
-                continue
-            try:
-                plan = planned(scene, free, body, stop, start, number, tray=held == "tray")
-            except InputError as fault:
-                self.plans[k] = fault
-                continue
-            self.plans[k] = plan
-            if stop.activity == "put":
-                held = ""
-                continue
-            held = {"take": "carton", "lift": "tray"}[stop.activity]
-            count = sum(thing.name.startswith(held) for thing in things)
-            self.own[k] = len(things)
-            things.append(_body(held, np.concatenate([plan.spot, plan.root[3:]]), count))
-        looks = dict.fromkeys(thing.asset for thing in things)
-        self.use(CarryingHands(tuple(things), tuple(LOOKS[name][0] for name in looks), body))
+        self._body, self._start, self._number = body, start, number
+        self.use(CarryingHands((), (), body))
+        self.follow(self.version)
         scale = reacher(body, "right").body.scale
         self._carry = np.stack([CARRIED * scale * (1, 1, -1), CARRIED * scale])
         self._tray_at = _carried_tray(body, scale)
@@ -263,6 +242,36 @@ class ChoreRoutine(Routine):
         """Change the state of other hands, which have the same things, from now on."""
         self.hands: HandWork | None = hands
         self._work = hands
+
+    def follow(self, version: int) -> None:
+        """Plan the chores by a version of the rules; up to version 6, people also do chores through a wall."""
+        super().follow(version)
+        self.plans, self.own = dict[int, Chore | InputError](), dict[int, int]()
+        things, held = list[Body](), ""
+        for k, stop in enumerate(self.stops):
+            if stop.activity not in CHORES or stop.activity in UNPLANNED:
+                named = {thing.name for thing in things}
+                if stop.activity == "phone" and "phone" not in named:
+                    things.append(_body("phone", np.full(7, np.nan)))
+                elif stop.activity == "read" and "book_cover_0" not in named:
+                    things += [_body(kind, np.full(7, np.nan), n) for n, (kind, _) in enumerate(BOOK)]
+                continue
+            try:
+                where = self._scene, self._free, self._body, stop, self._start, self._number
+                plan = planned(*where, tray=held == "tray", walls=version > VERSION)
+            except InputError as fault:
+                self.plans[k] = fault
+                continue
+            self.plans[k] = plan
+            if stop.activity == "put":
+                held = ""
+                continue
+            held = {"take": "carton", "lift": "tray"}[stop.activity]
+            count = sum(thing.name.startswith(held) for thing in things)
+            self.own[k] = len(things)
+            things.append(_body(held, np.concatenate([plan.spot, plan.root[3:]]), count))
+        looks = dict.fromkeys(thing.asset for thing in things)
+        self._work.things, self._work.assets = tuple(things), tuple(LOOKS[name][0] for name in looks)
 
     def errand_at(
         self, k: int, xz: NDArray[np.float64], taken: Sequence[Array]
@@ -485,6 +494,7 @@ def chore_at(
     near: NDArray[np.float64],
     number: int = 0,
     tray: bool = False,
+    walls: bool = False,
 ) -> Chore:
     """Return a chore at the best place for a body next to the thing of a stop.
 
@@ -496,6 +506,7 @@ def chore_at(
         near: Position (x, z) [2] [m] from which the person comes.
         number: Number of the agent, which decides between places whose spots are `APART_M` from each other.
         tray: True if the person puts down a tray.
+        walls: True if no wall may be between the person and the thing.
 
     Raises:
         InputError: Nothing there opens, or no place has room and is near enough for the hands.
@@ -509,6 +520,9 @@ def chore_at(
         places, made = _around(scene, thing), [partial(_surface, scene, body, thing, stop.activity, wide)]
     room = free.signed_distance(places[:, :2]) >= ROOM_M
     room &= np.isfinite(free.geodesic(np.broadcast_to(near, places[:, :2].shape), places[:, :2]))
+    if walls and len(places):
+        faced = np.clip(places[:, :2], *instance_bounds(scene, thing)[:, [0, 2]])
+        room &= no_wall_between(free, places[:, :2], faced)
     tries = ([chore for chore in map(make, places[room]) if chore is not None] for make in made)
     found = next(filter(None, tries), list[Chore]())
     if not found:
@@ -632,25 +646,40 @@ def _ramp(t: Array, start: float, end: float) -> Array:
 
 @lru_cache(maxsize=256)
 def _kept_plan(
-    scene: Scene, free: FreeSpace, body: Humanoid, stop: Stop, near: tuple[float, float], number: int, tray: bool
+    scene: Scene,
+    free: FreeSpace,
+    body: Humanoid,
+    stop: Stop,
+    near: tuple[float, float],
+    number: int,
+    tray: bool,
+    walls: bool,
 ) -> Chore | InputError:
     try:
-        return chore_at(scene, free, body, stop, near=np.array(near), number=number, tray=tray)
+        return chore_at(scene, free, body, stop, near=np.array(near), number=number, tray=tray, walls=walls)
     except InputError as fault:
         return fault
 
 
 def planned(
-    scene: Scene, free: FreeSpace, body: Humanoid, stop: Stop, start: Array, number: int, *, tray: bool
+    scene: Scene,
+    free: FreeSpace,
+    body: Humanoid,
+    stop: Stop,
+    start: Array,
+    number: int,
+    *,
+    tray: bool,
+    walls: bool = False,
 ) -> Chore:
-    """Return the chore of a stop; the same one is not planned twice."""
+    """Return the chore of a stop (`chore_at`); the same one is not planned twice."""
     least = CHORES[stop.activity] + SETTLES_S
     if stop.seconds < least:
         raise InputError(
             f"Expected at least {least:g} s for {stop.activity!r}, got {stop.seconds:g}.",
             code="H3-TASK-088",
         )
-    found = _kept_plan(scene, free, body, stop, (float(start[0]), float(start[1])), number, tray)
+    found = _kept_plan(scene, free, body, stop, (float(start[0]), float(start[1])), number, tray, walls)
     if isinstance(found, InputError):
         raise found.with_traceback(None)
     return found

@@ -228,5 +228,7 @@ def chores(episode: Any, number: int) -> ChoreRoutine:
         stops.append(Stop(scene.instances[0].name, "phone", 10.0))
     start = episode.starts[number, :2]
     routine = ChoreRoutine(scene, free, stops, member.body, start=start, number=number)
+    # recordings of people who are driven hold no version of these rules: they follow the first
+    routine.follow(1)
     routine.use(DrivenHands(routine, scene, free, member.body, start, number))
     return routine

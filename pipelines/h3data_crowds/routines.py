@@ -103,14 +103,17 @@ def place_beside(
     at = np.concatenate([edge + gap * away for gap in (0.5, 0.6, 0.75, BESIDE_M)])
     faced = np.tile(edge, (4, 1))
     far = free.geodesic(np.broadcast_to(near, at.shape), at)
-    between = at[:, None] + BETWEEN[:, None] * (faced - at)[:, None]
-    # not across a wall: the floor between the person and the thing is free
-    seen = (free.signed_distance(between) > 0).all(1)
-    fits = np.flatnonzero(np.isfinite(far) & (free.signed_distance(at) >= ROOM_M) & seen)
+    fits = np.isfinite(far) & (free.signed_distance(at) >= ROOM_M) & no_wall_between(free, at, faced)
+    fits = np.flatnonzero(fits)
     if not len(fits):
         return None
     best = fits[np.argmin(np.hypot(*(at[fits] - faced[fits]).T) + 1e-3 * far[fits])]
     return at[best], faced[best]
+
+
+def no_wall_between(free: FreeSpace, at: Array, faced: Array) -> NDArray[np.bool_]:
+    """Return whether the floor between places [N, 2] and the points [N, 2] of things that people face there is free."""
+    return (free.signed_distance(at[:, None] + BETWEEN[:, None] * (faced - at)[:, None]) > 0).all(1)
 
 
 def make_routine(scene: Scene, seed: int, number: int, name: str = "morning") -> tuple[Stop, ...]:
@@ -157,8 +160,13 @@ class Routine:
         self.hands: HandWork | None = None
         """Work of the person's hands; None: they handle nothing."""
         self.version = ROUTINE_VERSION
+        """Version of the rules of the person (`follow`)."""
         self._scene, self._free, self._next = scene, free, 0
         self._seats = None if body is None else Seats(scene, free, body)
+
+    def follow(self, version: int) -> None:
+        """Follow a version of the rules of people with routines (`sim_kinematic.crowd.crowd.VERSION`) from now on."""
+        self.version = version
 
     def next_stop(
         self, xz: NDArray[np.float64], taken: Sequence[Array] = ()

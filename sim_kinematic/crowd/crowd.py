@@ -37,13 +37,13 @@ second of which is used if the first leaves no path; least distances of a place 
 from their paths; distance within which people count as near; and length of these paths."""
 VERSION, ROUTINE_VERSION = 6, 7
 """Versions of the rules by which crowds and people with routines decide, which recordings store. In version 1, that of
-recordings without a version, conversations may close a passage, groups pull together through walls, and people who stay somewhere stay there
-although others cannot get past. Up to version 2, people avoid others 2 s ahead, including those who give way to them,
-and step aside more slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand, and nobody
-backs out (`Crowd._way`). Up to version 4, every place near a wall counts as narrow, and people give way later and more
-slowly. Up to version 5, and still with `social_force` or routines, they also give way to people who have passed them, and
-slow down for people who move away. Up to version 6, people with routines hold what they carry out also beside walls, and
-take longer to turn, to step back and to stand still before they sit down."""
+recordings without a version, conversations may close a passage, groups pull together through walls, and people who stay
+somewhere stay there although others cannot get past. Up to version 2, people avoid others 2 s ahead, including those who
+give way to them, and step aside more slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand,
+and nobody backs out (`Crowd._way`). Up to version 4, every place near a wall counts as narrow, and people give way later and
+more slowly. Up to version 5, and still with `social_force` or routines, they also give way to people who have passed them,
+and slow down for people who move away. Up to version 6, people with routines hold out what they carry also beside walls, do
+chores through walls, and take longer before they sit down. Version 7 is only that of people with routines."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """Conditions for sitting down: distance from the place before the seat [m], speed [m/s], and distance to others'
 outlines below which people wait [m]."""

@@ -86,8 +86,9 @@ class Agenda(Protocol):
     """Place, activity and duration [s] of each stop, which recordings store."""
     hands: HandWork | None
     """State of the person's hands; None: they handle nothing."""
-    version: int
-    """Version of the rules of the person (`sim_kinematic.crowd.crowd.VERSION`)."""
+
+    def follow(self, version: int) -> None:
+        """Follow a version of the rules of people with routines (`sim_kinematic.crowd.crowd.VERSION`) from now on."""
 
     def next_stop(
         self, xz: NDArray[np.float64], taken: Sequence[Array] = ()
