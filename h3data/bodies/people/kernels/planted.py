@@ -315,8 +315,7 @@ def _beside_things(table, state, foot, left, ahead, yaw, flat):
     near, moved = _foot_room(table, state[X], state[Z]), False
     # heel and toe tip; only corners reach in between
     for point in range(2 + 2 * int(table.clear)):
-        part = (0.0, 1.0, 0.75, 0.45)[point]
-        along = (1.0 - part) * feet[0, 2] + part * feet[2, 2]
+        along = feet[0, 2] + (0.0, 1.0, 0.75, 0.45)[point] * (feet[2, 2] - feet[0, 2])
         at_x, at_z = x + c * along, z - s * along
         if math.hypot(at_x - state[X], at_z - state[Z]) > near:
             slid_x, slid_z = _slides_to(table, state[X], state[Z], at_x, at_z)
@@ -707,9 +706,11 @@ def step_gait(table, state, x, z, heading, dt):
     rests = way < 1e-4 and abs(turned_by) < 1e-4
     velocity = math.copysign(way, forward) / dt
     k, f = _row(table, state[SPEED])
+    # zeros for people who are not only drawn, whose legs are not watched
     still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    drawn = table.clear > 0.0
-    was = (_leg_at(table, k, f, state, 0), _leg_at(table, k, f, state, 1)) if drawn else (still, still)
+    was = (still, still)
+    if table.clear > 0.0:
+        was = (_leg_at(table, k, f, state, 0), _leg_at(table, k, f, state, 1))
     state[X], state[Z], state[HEADING] = x, z, heading
     state[TIME] += dt
     state[TURN] += TURN_SHARE * (turned_by / dt - state[TURN])
@@ -749,9 +750,9 @@ def step_gait(table, state, x, z, heading, dt):
             rate *= 1 + min(max(_lacks(table, k, f, state, behind) - 0.01, 0.0) / 0.04, 1.0)
         if stands and state[FOOT + SHARE] == 0.0 and state[FOOT + FOOT_COLUMNS + SHARE] == 0.0:
             _begin(table, k, f, state)
-        span = _at(table.stance, k, f) / max(rate, 0.3)
-        ahead = _unhurried(table, k, f, state, was, min(rate * dt, 0.12), span, dt)
-        _advance(table, k, f, state, ahead, span, rests)
+        span, watched = _at(table.stance, k, f) / max(rate, 0.3), table.clear > 0.0 and abs(state[SPEED]) <= WALKS_MPS
+        ahead = _unhurried(table, k, f, state, watched, was, min(rate * dt, 0.12), span, dt)
+        _advance(table, k, f, state, watched, ahead, span, rests)
         _show(state, ahead)
     _settle_pelvis(table, k, f, state, dt)
 
@@ -789,31 +790,28 @@ def _toes(table, k, f, state, foot, share):
 
 
 @kernel_part(borrows=True)
-def _is_watched(table, state):
-    """Return whether no part of a leg may move too fast: of people who are only drawn, while they walk."""
-    return table.clear > 0.0 and abs(state[SPEED]) <= WALKS_MPS
-
-
-@kernel_part(borrows=True)
 def _leg_at(table, k, f, state, foot):
     """Return ankle, ball and knee of a leg in the body frame: left, up and ahead. The knee points half where the foot does."""
     ankle, pitch, _, yaw = _ankle(table, k, f, state, foot)
     c, s, (_, y, z) = math.cos(math.radians(pitch)), math.sin(math.radians(pitch)), row3(table.legs.feet[foot], 1)
-    ball = (math.sin(yaw) * (c * z - s * y), c * y + s * z, math.cos(yaw) * (c * z - s * y))
     hip = plus(_pelvis(table, state), turned(_pelvis_turn(table, state), row3(table.legs.hips, foot)), 1.0)
     knee = _knee_from(table, plus(ankle, (hip[0], hip[1] - state[SINK], hip[2]), -1.0), 0.5 * yaw)
-    return ankle, plus(ankle, ball, 1.0), knee[:3]
+    # a foot's own frame is pitched about its ankle
+    return (
+        ankle,
+        plus(ankle, (math.sin(yaw) * (c * z - s * y), c * y + s * z, math.cos(yaw) * (c * z - s * y)), 1.0),
+        knee[:3],
+    )
 
 
 @kernel_part(borrows=True)
-def _unhurried(table, k, f, state, was, ahead, span, dt):
+def _unhurried(table, k, f, state, watched, was, ahead, span, dt):
     """Return the cycles, at most ``ahead``, by which the phase advances so that no swinging leg moves too fast.
 
     What differs from the gait fades by a share. Watched legs were at ``was`` (`_leg_at`) one step ago. Their landing
     positions move here, as feet move along with them; those of others move in `_advance`.
     """
-    watched, slowest = _is_watched(table, state), ahead
-    most = max(SWING_MPS, (1.0 + 0.04 * watched) * _at(table.swing, k, f)) * dt
+    slowest, most = ahead, max(SWING_MPS, (1.0 + 0.04 * watched) * _at(table.swing, k, f)) * dt
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
         for i in range(4):  # by a share, so that the difference has no end that could be seen
@@ -837,7 +835,7 @@ def _unhurried(table, k, f, state, was, ahead, span, dt):
 
 
 @kernel_part(borrows=True)
-def _advance(table, k, f, state, ahead, span, rests):
+def _advance(table, k, f, state, watched, ahead, span, rests):
     """Advance the phase by ``ahead`` cycles, in which feet leave the floor, fly and land; a stance lasts ``span`` [s]."""
     stance = _at(table.stance, k, f)
     landed, shapes = -1, (0.0, 0.0, 0.0, 0.0)
@@ -858,7 +856,7 @@ def _advance(table, k, f, state, ahead, span, rests):
             # strike
             state[at + SHARE] += (1 - state[at + SHARE]) * min(ahead / max(1.0 - own, 1e-9), 1.0)
         if state[at + AIR] > 0.0:
-            if not _is_watched(table, state):
+            if not watched:
                 _aim(table, k, f, state, foot, span, ahead)
             if after >= 1.0:
                 state[at + SHARE] = 1.0
@@ -875,8 +873,7 @@ def _advance(table, k, f, state, ahead, span, rests):
                 shape = _shape(table, k, f, state, foot)
                 # where a drawn foot is shown, which may still be off the gait
                 off = table.clear * state[at + SHAPE_OFF + 2]
-                place = (left + math.sin(yaw) * off, onward + past + math.cos(yaw) * off, yaw)
-                _plant(table, state, foot, place, True)
+                _plant(table, state, foot, (left + math.sin(yaw) * off, onward + past + math.cos(yaw) * off, yaw), True)
                 landed, shapes = foot, shape
     state[PHASE] = (state[PHASE] + ahead) % 1.0
     if rests and state[FOOT + AIR] > 0.0 and state[FOOT + FOOT_COLUMNS + AIR] > 0.0:
