@@ -46,11 +46,11 @@ SHOTS = (
     (14, "stove"),
     (22, "living"),
     (27, "third_person"),
-    (31, "sofa"),
-    (38, "fridge"),
-    (44, "stove"),
-    (49, "sofa"),
-    (54, "third_person"),
+    (30, "sofa"),
+    (36, "fridge"),
+    (45, "sofa"),
+    (49, "stove"),
+    (55, "third_person"),
 )
 """Seconds at which the shots begin, and their cameras: `CAMERAS`, or named ones."""
 
