@@ -243,9 +243,9 @@ class ChoreRoutine(Routine):
         self.hands: HandWork | None = hands
         self._work = hands
 
-    def follow(self, version: int) -> None:
+    def follow(self, version: int) -> ChoreRoutine:
         """Plan the chores by a version of the rules; up to version 6, people also do chores through a wall."""
-        super().follow(version)
+        self.version = version
         self.plans, self.own = dict[int, Chore | InputError](), dict[int, int]()
         things, held = list[Body](), ""
         for k, stop in enumerate(self.stops):
@@ -272,6 +272,7 @@ class ChoreRoutine(Routine):
             things.append(_body(held, np.concatenate([plan.spot, plan.root[3:]]), count))
         looks = dict.fromkeys(thing.asset for thing in things)
         self._work.things, self._work.assets = tuple(things), tuple(LOOKS[name][0] for name in looks)
+        return self
 
     def errand_at(
         self, k: int, xz: NDArray[np.float64], taken: Sequence[Array]

@@ -164,9 +164,10 @@ class Routine:
         self._scene, self._free, self._next = scene, free, 0
         self._seats = None if body is None else Seats(scene, free, body)
 
-    def follow(self, version: int) -> None:
-        """Follow a version of the rules of people with routines (`sim_kinematic.crowd.crowd.VERSION`) from now on."""
+    def follow(self, version: int) -> Routine:
+        """Follow a version of the rules of people (`sim_kinematic.crowd.crowd.VERSION`) from now on; return itself."""
         self.version = version
+        return self
 
     def next_stop(
         self, xz: NDArray[np.float64], taken: Sequence[Array] = ()

@@ -19,7 +19,7 @@ def sit(person: Person, place: SeatPlace, seconds: float) -> Skill:
     person.walk.tables = on_stairs(person.body.gait_tables, floor.heights)
     try:
         here = np.append(person.base[[0, 2]], person.heading)
-        for at, share in sit_for(here, seconds, place):
+        for at, share in sit_for(here, place, seconds):
             show_seated(person, place, at, share)
             yield
     finally:

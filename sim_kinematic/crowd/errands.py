@@ -87,8 +87,8 @@ class Agenda(Protocol):
     hands: HandWork | None
     """State of the person's hands; None: they handle nothing."""
 
-    def follow(self, version: int) -> None:
-        """Follow a version of the rules of people with routines (`sim_kinematic.crowd.crowd.VERSION`) from now on."""
+    def follow(self, version: int) -> Agenda:
+        """Follow a version of the rules of people (`sim_kinematic.crowd.crowd.VERSION`) from now on; return itself."""
 
     def next_stop(
         self, xz: NDArray[np.float64], taken: Sequence[Array] = ()

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -66,7 +65,12 @@ class SeatPlace(NamedTuple):
 
     def station(self, *, brisk: bool) -> Station:
         """Return the station at which a person of a crowd uses the seat, who moves ``brisk`` before they sit down."""
-        return Station(self.seat.name, self.seat.height_m, self.taken, partial(sit_for, place=self, brisk=brisk))
+        return Station(
+            self.seat.name,
+            self.seat.height_m,
+            self.taken,
+            lambda here, seconds: sit_for(here, self, seconds, brisk=brisk),
+        )
 
 
 def fit(body: Humanoid, seat: Seat) -> Sitting:
@@ -229,7 +233,7 @@ class Seats:
         return True
 
 
-def sit_for(here: Array, seconds: float, place: SeatPlace, *, brisk: bool = False) -> Motion:
+def sit_for(here: Array, place: SeatPlace, seconds: float, *, brisk: bool = False) -> Motion:
     """Yield the motion of a person who walks from a place [3] before a seat, sits for some time, and returns there."""
     yield from take_seat(here, place, brisk=brisk)
     way = lying_way(place)

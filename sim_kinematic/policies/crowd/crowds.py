@@ -40,11 +40,6 @@ class CrowdMember:
     hands: HandWork | None = None
     """State of the person's hands; None: they handle nothing."""
 
-    @property
-    def avoids(self) -> int:
-        """Version of the rules by which the person avoids others: by those of version 6, people with routines touched."""
-        return 5 if self.version > VERSION else self.version
-
 
 class Moment(NamedTuple):
     """Places of all agents of W worlds, now and one step ago."""
@@ -137,7 +132,8 @@ class Crowds:
                 stride=people[0].walker.stride,
                 # one for all crowds, so that people of two models do not sit down on one seat
                 places=self._places,
-                version=min(person.avoids for person in people),
+                # by the rules of version 6, people with routines touched
+                version=min(5 if person.version > VERSION else person.version for person in people),
             )
             # people of other models and policies are obstacles that move
             own, discs = [number - robots for number in members], range(len(moment.radii))
@@ -167,14 +163,10 @@ class Crowds:
 
     def _handle(self, number: int, member: CrowdMember, work: HandWork, place: Array, heading: float) -> None:
         """Move hands, doors and things by what a person does who is at a place [2] with a heading after this step."""
-        state, w, lead, held = self._world.state, self._row, work.lead, work.held
-        person, root = (
-            state.people[number - len(state.robots)],
-            root_pose(self._world.roster[number].body, place, heading, member.free),
-        )
-        if member.version > VERSION:
-            lead, held = work.beside(member.free, place, heading, member.walker, person.arms[w])
-        person.hands[w] = lead
+        state, w, body = self._world.state, self._row, self._world.roster[number].body
+        person, root = state.people[number - len(state.robots)], root_pose(body, place, heading, member.free)
+        where = member.free, place, heading, member.walker, person.arms[w]
+        person.hands[w], held = work.beside(*where) if member.version > VERSION else (work.lead, work.held)
         # worlds that learners step hold neither doors nor things
         for k, position in work.joints.items() if state.joint_pos.shape[1] else ():
             state.joint_pos[w, k] = position

@@ -40,9 +40,7 @@ class CrowdPolicy:
 
         A person with a routine follows it; others walk from one random goal to another.
         """
-        self._routine = routine
-        if routine is not None:
-            routine.follow(ROUTINE_VERSION)
+        self._routine = None if routine is None else routine.follow(ROUTINE_VERSION)
         # a seed of their own: with the episode's, all people would walk to the same goals
         self._goals = WaypointHuman(free, episode_seed(seed, number), walker)
         traits = sample_traits(seed, number, walker.speed_mps)
@@ -80,8 +78,7 @@ class CrowdPolicy:
         """Decide by the version of the rules that a recording's ``facts`` name; by the first if they name none."""
         version = facts.get("version") if isinstance(facts, dict) else None
         self.member = replace(self.member, version=version if isinstance(version, int) else 1)
-        if self._routine is not None:
-            self._routine.follow(self.member.version)
+        self._routine = None if self._routine is None else self._routine.follow(self.member.version)
 
     @property
     def facts(self) -> dict[str, Any]:
