@@ -152,7 +152,7 @@ def parts_of(sources: Sequence[AnyPath]) -> list[Part]:
             parts.append(Part(source, None, job))
             continue
         # 2,048 episodes take about a second: few enough to share out, enough to be worth sending
-        count = len(_opened(source, job))
+        count = len(open_part(source, job))
         parts += [Part(source, range(k, min(k + 2048, count)), job) for k in range(0, count, 2048)]
     return parts
 
@@ -162,7 +162,7 @@ def measure_part(part: Part, profile: str | None) -> list[Measured]:
     if part.episodes is None:
         results = _attempts([(str(part.source), read_log(part.source))], profile)
     else:
-        dataset = _opened(part.source, part.job)
+        dataset = open_part(part.source, part.job)
         results = (
             each for chunk in chunks_of(dataset, part.episodes) for each in _measure_chunk(dataset, chunk, profile)
         )
@@ -170,19 +170,6 @@ def measure_part(part: Part, profile: str | None) -> list[Measured]:
         sendable(each) if isinstance(each, EpisodeMetrics) else (each.name, str(each.error), each.reason)
         for each in results
     ]
-
-
-def part_recordings(part: Part, profile: str | None = None) -> Iterator[tuple[int, Recording | FormatError]]:
-    """Yield the recordings of a part with their numbers; a damaged recording is replaced by its error.
-
-    From a dataset, only the columns that the profile needs are read.
-    """
-    if part.episodes is None:
-        yield 0, read_log(part.source)
-        return
-    dataset = _opened(part.source, part.job)
-    for chunk in chunks_of(dataset, part.episodes):
-        yield from read_chunk(dataset, chunk, profile)
 
 
 def lost_part(part: Part, fault: Exception) -> list[Measured]:
@@ -193,7 +180,8 @@ def lost_part(part: Part, fault: Exception) -> list[Measured]:
 
 @lru_cache(maxsize=1)
 # `job` is part of the key, so that a later job sees a dataset that has grown
-def _opened(source: AnyPath, job: str) -> Dataset:
+def open_part(source: AnyPath, job: str) -> Dataset:
+    """Return the dataset of the parts of a job."""
     return Dataset(source)
 
 

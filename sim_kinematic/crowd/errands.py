@@ -89,6 +89,7 @@ class Agenda(Protocol):
 
     def follow(self, version: int) -> Agenda:
         """Follow a version of the rules of people (`sim_kinematic.crowd.crowd.VERSION`) from now on; return itself."""
+        ...
 
     def next_stop(
         self, xz: NDArray[np.float64], taken: Sequence[Array] = ()

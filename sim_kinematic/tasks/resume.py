@@ -10,8 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -44,7 +43,6 @@ from sim_kinematic.tasks.resimulation import (
 )
 from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.task import Task
-from sim_kinematic.tasks.wander import Wander
 
 
 def task_of(recording: Recording) -> Task:
@@ -78,11 +76,11 @@ def verify(recording: Recording) -> Verification:
     Raises:
         H3DataError: The recording cannot be simulated again, because its task is not installed or data is missing.
     """
-    task, episode = _restored(recording)
+    task, episode = restored_episode(recording)
     steps = len(recording)
     if not steps:
         return Verification(steps=0, difference=None)
-    own = _assigned(
+    own = assigned_policies(
         task,
         episode,
         recording,
@@ -189,62 +187,15 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
     return _continued(recording, step, {} if policy is None else {"robot": policy}, keeps_people=True)
 
 
-class AddedTime(NamedTuple):
-    """Time by which robots delay one person."""
-
-    person: str
-    goals: int
-    """Number of consecutive goals that the person leaves both in the recording and without robots."""
-    seconds: float | None
-    """Time at which the person leaves the last of these goals, minus the time without robots [s]; None without such a
-    goal."""
-
-
-def added_time(recording: Recording) -> list[AddedTime]:
-    """Return the time by which robots delay each person of a crowd, from a second simulation without them.
-
-    The second simulation has the seed and starts of the recording, so the robots cause the difference. People are
-    compared by the goals that they go to in both simulations, up to the first one that differs because of a robot.
-
-    Raises:
-        InputError: The recording cannot be simulated again (see `verify`), people are not of a crowd, or there is no
-            robot.
-    """
-    task, episode = _restored(recording)
-    robots, people = _numbers(recording, "robot"), _numbers(recording, "human")
-    policies = _assigned(task, episode, recording, {}, strict=False, recorded=robots)
-    alone = [policies[k] for k in people]
-    if not robots or not alone or not all(isinstance(one.policy, CrowdPolicy) for one in alone):
-        raise InputError(
-            "Expected a recording of robots among people of a crowd, whose partner is orca or social_force, got "
-            f"{', '.join(one.name for one in policies)}.",
-            code="H3-TASK-081",
-        )
-    # by the rules of wander, which need no robot and end nothing before the time limit
-    play = WorldRollout.of(Wander(), episode.only(*people), alone, measure=False)
-    run(play, steps=len(recording))
-    rows = []
-    for p, k in enumerate(people):
-        here, there = (
-            [(event.step, event.detail) for event in events if event.kind == "walks_to" and event.agent == number]
-            for events, number in ((recording.events, k), (play.events, p))
-        )
-        pairs = list(takewhile(lambda pair: pair[0][1] == pair[1][1], zip(here, there, strict=False)))
-        # the first event is the departure from the start, which is no goal
-        late = (pairs[-1][0][0] - pairs[-1][1][0]) * recording.episode.dt_ns * 1e-9 if len(pairs) > 1 else None
-        rows.append(AddedTime(recording.agents[k].name, max(len(pairs) - 1, 0), late))
-    return rows
-
-
 # --- one continued run ------------------------------------------------------------------------------------------------
 def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps_people: bool) -> Recording:
     require_step(recording, step)
-    task, episode = _restored(recording)
+    task, episode = restored_episode(recording)
     codec = task.codec
     codec.check_changes(recording, chosen)
     # who plays does not change these facts, so the recorded ones save computing them again
     codec.load_precomputed(episode, recording.episode.info)
-    assigned = _assigned(task, episode, recording, chosen, strict=True, keeps_people=keeps_people)
+    assigned = assigned_policies(task, episode, recording, chosen, strict=True, keeps_people=keeps_people)
     named = codec.policy_names(recording)
     changed = [one.name != name for one, name in zip(assigned, named, strict=True)]
     if not keeps_people and any(
@@ -265,7 +216,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
         keeps_people=keeps_people,
         since=step,
     )
-    robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in _numbers(recording, "robot"))]
+    robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in agent_numbers(recording, "robot"))]
     # people keep their recorded tracks, which are rounded, so measurements of them may differ in the last bits
     require_recorded(
         recording, step, played.columns, played.ended, robots if keeps_people and not task.control.has_skills else None
@@ -335,7 +286,7 @@ class _Played:
 
     def _keep(self, task: Task, recording: Recording, rows: int) -> None:
         """Store the columns, skills and events of recorded people, as far as the task selects them."""
-        people = _numbers(recording, "human")
+        people = agent_numbers(recording, "human")
         # in social_nav ``sim.`` are the goal and the leg of the person's script
         prefixes = ("sim.", *(f"agent_{k}." for k in people))
         kept = {
@@ -364,7 +315,8 @@ class _Played:
             self.events = tuple(sorted([*theirs, *self.events], key=lambda event: event.step))
 
 
-def _restored(recording: Recording) -> tuple[Task, Episode]:
+def restored_episode(recording: Recording) -> tuple[Task, Episode]:
+    """Return the task of a recording, and its episode with scene, free floor and starts."""
     if recording.episode.is_lerobot_export:
         raise InputError(
             "Demonstrations exported to LeRobot cannot be simulated again, or verified: they lack the last row of each episode "
@@ -380,7 +332,7 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
         return task, task.codec.restore(recording, lambda radius, height: scene_and_map(file, radius, height))
 
 
-def _assigned(
+def assigned_policies(
     task: Task,
     episode: Episode,
     recording: Recording,
@@ -445,5 +397,6 @@ def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:
     return None
 
 
-def _numbers(recording: Recording, kind: str) -> list[int]:
+def agent_numbers(recording: Recording, kind: str) -> list[int]:
+    """Return the numbers of all agents of a kind."""
     return [k for k, agent in enumerate(recording.agents) if agent.kind == kind]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from h3data.metrics import EpisodeMetrics, Profile
-from h3data.metrics.batch import Part, part_recordings, sendable
+from h3data.metrics.batch import Part, open_part, sendable
+from h3data.metrics.reading import chunks_of, read_chunk, read_log
 from h3data.metrics.registry import all_profiles, profile_for
 from h3data.metrics.requirements import UnmeasurableError
 from h3data.recording import Recording
@@ -42,10 +43,20 @@ class Unread:
 Found = list[Read | Unread]
 
 
+def _recordings(part: Part) -> Iterator[tuple[int, Recording | FormatError]]:
+    """Yield the recordings of a part with their numbers; a damaged recording is replaced by its error."""
+    if part.episodes is None:
+        yield 0, read_log(part.source)
+        return
+    dataset = open_part(part.source, part.job)
+    for chunk in chunks_of(dataset, part.episodes):
+        yield from read_chunk(dataset, chunk, None)
+
+
 def read_part(part: Part) -> Found:
     """Return the episodes of one part of the datasets, measured by the profiles of their tasks."""
     found: Found = []
-    for index, recording in part_recordings(part):
+    for index, recording in _recordings(part):
         if isinstance(recording, FormatError):
             found.append(Unread(_name(part, index), str(recording)))
             continue

@@ -708,9 +708,7 @@ def step_gait(table, state, x, z, heading, dt):
     k, f = _row(table, state[SPEED])
     # zeros for people who are not only drawn, whose legs are not watched
     still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    was = (still, still)
-    if table.clear > 0.0:
-        was = (_leg_at(table, k, f, state, 0), _leg_at(table, k, f, state, 1))
+    was = (_leg_at(table, k, f, state, 0), _leg_at(table, k, f, state, 1)) if table.clear > 0.0 else (still, still)
     state[X], state[Z], state[HEADING] = x, z, heading
     state[TIME] += dt
     state[TURN] += TURN_SHARE * (turned_by / dt - state[TURN])
