@@ -113,7 +113,8 @@ def place_beside(
 
 def no_wall_between(free: FreeSpace, at: Array, faced: Array) -> NDArray[np.bool_]:
     """Return whether the floor between places [N, 2] and the points [N, 2] of things that people face there is free."""
-    return (free.signed_distance(at[:, None] + BETWEEN[:, None] * (faced - at)[:, None]) > 0).all(1)
+    between = at[:, None] + BETWEEN[:, None] * (faced - at)[:, None]
+    return np.all(free.signed_distance(between) > 0, axis=1)
 
 
 def make_routine(scene: Scene, seed: int, number: int, name: str = "morning") -> tuple[Stop, ...]:
