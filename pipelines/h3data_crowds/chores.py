@@ -10,6 +10,7 @@ at the handle, thing or tray.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -79,6 +80,9 @@ TRAY_AHEAD, TRAY_UP, UNFOLDED = (0.26, 0.29, 0.32, 0.35), 0.79, 0.605
 Of the forward distances, the first is used at which the hands are this share of an arm's length from the shoulders,
 because folded arms cannot carry a tray.
 """
+CLOSER = 0.06
+"""Share of the path between a hand that carries something out and one that holds it close that is passed in a step. At twice
+this rate, which is that of empty arms, elbows turn by up to 25 degrees in a step."""
 AJAR_RAD, WIDE_RAD = 0.95, 1.3
 """Smallest and largest angle of a door that one hand opens and holds while the other hand reaches in [rad]."""
 BESIDE_M = (0.016, 0.03, 0.06)
@@ -148,12 +152,12 @@ class CarryingHands(HandWork):
         self, free: FreeSpace, place: Array, heading: float, walker: WalkerSpec, arms: Array
     ) -> tuple[Array, dict[int, Array]]:
         """Return ``lead`` and ``held`` as `HandWork.beside` does, moved by one step towards the room that there is."""
-        rules, wanted, (ahead, _, aside) = walker.arms, 0.0, self.lead[self.hand, :3].tolist()
-        if self.carries and rules is not None:
+        wanted, (ahead, _, aside) = 0.0, self.lead[self.hand, :3].tolist()
+        if self.carries and walker.arms is not None:
+            rules = replace(walker.arms, rate=CLOSER)
             # no farther out than an arm that holds nothing would be here
             wanted = max(held_close(free, place, heading, (ahead, aside), walker, rules), float(arms[self.hand]))
-        rate = 1.0 if rules is None else rules.rate
-        self.close += min(max(wanted - self.close, -rate), rate)
+        self.close += min(max(wanted - self.close, -CLOSER), CLOSER)
         if self.close == 0.0:
             return self.lead, self.held
         lead, inward = self.lead.copy(), self.close * (self.folded[self.hand] - self.lead[self.hand, :3])

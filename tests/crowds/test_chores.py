@@ -8,29 +8,37 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 import h3data
 from benchmarks.people import hall
-from h3data.bodies import Humanoid, load_humanoid
-from h3data.bodies.people.reach import hand_points
+from h3data.bodies import Humanoid, humanoid_names, load_humanoid
+from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.gestures import BOTH, lead_hands
+from h3data.bodies.people.reach import hand_points, reacher
 from h3data.errors import InputError, SceneError
-from h3data.geometry import pose_to_matrix
+from h3data.geometry import IDENTITY_POSE, pose_multiply, pose_to_matrix
 from h3data.recording import read_mcap, write_mcap
 from h3data.recording.records import JOINTS
 from h3data.replay import Replay
 from h3data.scene import FreeSpace
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.open import named_scenes, open_free_space, open_scene
-from h3data_crowds.chores import GRIP_BACK_M, ChoreRoutine, chore_at
+from h3data_crowds.chores import CARRIED, GRIP_BACK_M, ITEM_M, CarryingHands, ChoreRoutine, chore_at
 from h3data_crowds.routines import Stop
 from h3data_exporters.posing import posed_parts
 from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
 from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_pipelines.benchmark.verification import _other_facts as other_facts
 from h3data_pipelines.validation.recordings import validate_recording
+from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.roster import make_roster
+from sim_kinematic.contact.frames import root_pose
+from sim_kinematic.crowd.crowd import ROUTINE_VERSION
 from sim_kinematic.crowd.roles import read_role, routines
-from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
+from sim_kinematic.motion.state import HumanState
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.tasks.resume import counterfactual, resume, verify, verify_episode
 from sim_kinematic.tasks.resume import restored_episode as restored
@@ -167,6 +175,90 @@ def test_what_cannot_be_done_is_refused() -> None:
     assert found[1].refused[1].startswith("H3-TASK-088")
     # nothing is in the hands, so there is nothing to put down and nowhere to go
     assert ChoreRoutine(scene, free, [Stop("kitchen_counter_0", "put", 9.0)], body, start=near).next_stop(near) is None
+
+
+def before_version_7(task: Any, episode: Any, number: int) -> CrowdPolicy:
+    """A person who does chores by an earlier version of the rules."""
+    policy = resident(task, episode, number)
+    policy.repeat({"version": 5})
+    return policy
+
+
+def test_recordings_of_chores_of_earlier_versions_are_simulated_again(acted: h3data.Recording) -> None:
+    agents = {"human": f"{__name__}:before_version_7"}
+    older = h3data.simulate("wander", HOME, roster=["female_1"], agents=agents, seed=3, max_steps=700)
+    versions = [next(iter(each.episode.info["people"].values()))["version"] for each in (older, acted)]
+    assert versions == [5, ROUTINE_VERSION]
+    # the same person as in `acted`, but for the version that the recording holds
+    as_now = {**older.episode.info, "policies": acted.episode.info["policies"]}
+    assert verify(replace(older, episode=replace(older.episode, info=as_now))).difference is None
+    hands = [each.columns["agent_0.motion_hands"][:700] for each in (older, acted)]
+    assert not np.array_equal(*hands), "by version 7 the carton is held close to the body beside walls"
+
+
+def _beside_wall(free: FreeSpace, seed: int, room: float) -> tuple[np.ndarray, float]:
+    """Return a place at a distance from a wall or furniture, and the heading along it."""
+    places = free.sample(np.random.default_rng(seed), 4000)
+    place = places[np.argmin(np.abs(free.signed_distance(places) - room))]
+    away = free.gradient(place)
+    return place, float(np.arctan2(-away[0], -away[1]))
+
+
+@settings(deadline=None)
+@example("male_1", 1, 0, 0.25, 0.0)
+@example("female_3", 0, 3, 0.3, 0.3)
+@given(
+    st.sampled_from(humanoid_names()),
+    st.integers(0, 1),
+    st.integers(0, 30),
+    st.floats(0.25, 0.5),
+    st.floats(-0.35, 0.35),
+)
+def test_what_people_carry_stays_out_of_walls_beside_them(name: str, hand: int, seed: int, room: float, turn: float):
+    """People walk along walls and turn by up to the angle at which they walk sideways."""
+    source, rules = named_scenes("medium2-open:1")[0].source, SocialNavSpec()
+    free, body = open_free_space(source, rules.agent_radius_m, rules.agent_height_m), load_humanoid(name)
+    place, along = _beside_wall(free, seed, room)
+    heading = along + turn + np.pi * (seed % 2)
+    work, state = CarryingHands((), (), body), HumanState.zeros(1)
+    state.xz[0], state.heading[0] = place, heading
+    carry = CARRIED * reacher(body, BOTH[hand]).body.scale * (1, 1, 2 * hand - 1)
+    work.lead[hand], work.hand, work.carries = [*carry, 1.0], hand, True
+    work.held = {0: np.append(carry, IDENTITY_POSE[3:])}
+    lead, held = work.lead, work.held
+    for _ in range(30):
+        draw_arms(state, free, body, HOME_WALKER.arms)
+        before = lead[hand, :3].copy()
+        lead, held = work.beside(free, place, heading, HOME_WALKER, state.arms[0])
+        assert np.linalg.norm(lead[hand, :3] - before) < 0.04, "the hand does not jump"
+    np.testing.assert_array_equal(held[0][:3], lead[hand, :3])
+    quats, pelvis = body.clip_pose([0], [0.0])
+    draw_in(quats, state.arms, shoulders_forward=True)
+    lead_hands(body, quats, pelvis, lead[None])
+    root = root_pose(body, place, heading, free)
+    start, end, radius = body.capsules_world(body.joint_matrices(root[None], quats, pelvis))
+    arm = [k for k, part in enumerate(body.capsules) if part.name in (f"{BOTH[hand]}_forearm", f"{BOTH[hand]}_hand")]
+    rooms = [free.signed_distance(points[0, arm][:, [0, 2]]) - radius[arm] for points in (start, end)]
+    middle = pose_multiply(root, held[0])[[0, 2]]
+    assert min(*np.concatenate(rooms), free.signed_distance(middle) - ITEM_M[0]) > -0.02
+
+
+@pytest.mark.parametrize("name", ["female_3", "male_2"])
+def test_nobody_puts_things_down_through_a_wall(name: str) -> None:
+    source, rules = named_scenes("medium2-open:1")[0].source, SocialNavSpec()
+    scene, free = open_scene(source), open_free_space(source, rules.agent_radius_m, rules.agent_height_m)
+    body, through = load_humanoid(name), []
+    for walls in (False, True):
+        for thing in ("kitchen_counter_0", "dining_table_0", "kitchen_counter_1"):
+            stop = Stop(thing, "put", 9.0)
+            plan = chore_at(scene, free, body, stop, near=np.array([8.2, 4.2]), number=3, walls=walls)
+            at = plan.root[[0, 2]]
+            between = free.signed_distance(at + np.linspace(0, 1, 40)[:, None] * (plan.spot[[0, 2]] - at))
+            # on the way to the thing the floor ends once, and what is behind is the thing
+            free_to = np.argmax(between < 0) / 40 * np.linalg.norm(plan.spot[[0, 2]] - at)
+            through.append((walls, bool(np.linalg.norm(plan.spot[[0, 2]] - at) - free_to > 0.25)))
+    assert (True, True) not in through
+    assert (False, True) in through, "by version 6 they did"
 
 
 def test_breakfasts_differ_by_seed_and_are_refused_where_nothing_opens() -> None:
