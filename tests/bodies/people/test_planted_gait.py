@@ -236,3 +236,29 @@ def _in_world(body: Humanoid, base: Array, quats: Array, pelvis: Array) -> Array
     """As `leg_frames`, in the world."""
     joints = body.joint_matrices(base, quats, pelvis)
     return joints[:, LEG_JOINTS]
+
+
+@settings(deadline=None)
+@given(
+    st.sampled_from(BODIES),
+    st.lists(
+        st.tuples(st.sampled_from([0.0, 0.25, 0.6, 1.2]), st.sampled_from([0.0, 1.8, -1.8]), st.floats(-3.1, 3.1)),
+        min_size=2,
+        max_size=8,
+    ),
+)
+def test_drawn_legs_pop_nowhere(name: str, wanted: list[tuple[float, float, float]]):
+    """People of crowds turn quickly, and up to 0.25 m/s they step in any direction at once."""
+    body = load_humanoid(name)
+    speed, turn, aside = (np.repeat(part, 25) for part in np.array(wanted).T)
+    # they set off and brake by at most 2.2 m/s^2, and turn by at most 7 rad/s^2
+    speed, turn = limited(speed, 2.2 / 30), limited(turn, 7 / 30)
+    heading = np.cumsum(turn) / 30
+    # faster people walk a little sideways at most
+    way = heading + np.where(speed > 0.3, np.clip(aside, -0.35, 0.35), aside)
+    base = ground_pose(np.cumsum(np.stack([speed * np.cos(way), -speed * np.sin(way)], -1), axis=0) / 30, heading)
+    # a wide floor without obstacles
+    floor = {"sdf": np.full((4, 4), 50.0), "origin": np.full(2, -200.0), "cell_m": 100.0, "clear": 1.0}
+    tables = body.gait_tables._replace(**floor)
+    joints = body.joint_matrices(base, *pose_planted(tables, planted_states(tables, base)))
+    assert not motion_of(body, base, joints)["pops"].any()
