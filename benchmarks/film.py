@@ -1,5 +1,7 @@
 """Faults of the film of a morning that the documentation shows (`examples/morning.py`): exactly that episode.
 
+With ``--episodes N``, those of the same morning with each of the seeds 1 to N are printed too.
+
 ``penetration.film.above_2cm``, ``penetration.film.worst``
     Share of steps in which any part of anybody is deeper than 2 cm in the home, and the greatest depth, as in
     `benchmarks.penetration`, without the doors that people move (see `benchmarks.chores`).
@@ -60,8 +62,16 @@ def figures_of(recording: Recording, scene: str) -> dict[str, tuple[float, str]]
     }
 
 
-def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emit the figures of the film."""
-    film = script()
+def run(emit: Callable[[str, float, str], None], episodes: int = 0) -> None:
+    """Emit the figures of the film, and how many of the seeds from 1 to ``episodes`` have no fault."""
+    film, faultless = script(), 0
+    for seed in range(1, episodes + 1):
+        figures = {name: value for name, (value, _) in figures_of(film.play(seed), film.SCENE).items()}
+        worst = figures.pop("penetration.film.worst")
+        faultless += not any(figures.values())
+        faults = ", ".join(f"{name} {value:.3g}" for name, value in figures.items() if value)
+        print(f"  seed {seed}: {worst:.1f} mm; {faults or 'no fault'}", flush=True)
+    if episodes:
+        emit("people.film.faultless", faultless, f"of {episodes} seeds")
     for name, (value, unit) in figures_of(film.play(), film.SCENE).items():
         emit(name, value, unit)

@@ -265,6 +265,8 @@ RENAMED = {
     "sim_kinematic.tasks.play.Play": "WorldRollout",
     "sim_kinematic.tasks.play.WorldPlay": "WorldRollout",
     "sim_kinematic.tasks.play.Rollout": "WorldRollout",
+    "sim_kinematic.tasks.resume.AddedTime": "h3data_pipelines.validation.added_time.AddedTime",
+    "sim_kinematic.tasks.resume.added_time": "h3data_pipelines.validation.added_time.added_time",
     "sim_kinematic.tasks.runner.Turns": "DecisionLoop",
     "sim_kinematic.world.Drive": "DriveCommand",
     "sim_kinematic.world.Keep": "RecordedPoseCommand",
