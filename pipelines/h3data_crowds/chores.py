@@ -146,7 +146,7 @@ class CarryingHands(HandWork):
         """True while the person walks about with a thing in ``hand``, and False during chores."""
         self.hand = 0
         self.close = 0.0
-        """How close to the body the thing is, from 0 (as it is carried where there is room) to 1 (at a folded arm)."""
+        """Share of the path from where the thing is carried where there is room (0) to a folded arm (1)."""
 
     def beside(
         self, free: FreeSpace, place: Array, heading: float, walker: WalkerSpec, arms: Array
