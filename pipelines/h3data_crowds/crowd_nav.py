@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,6 +46,8 @@ class CrowdNavSpec(TaskSpec):
     """
     end_on_collision: bool = True
     """True if contact with a person ends the episode, as a failure."""
+    solid_agents: bool = field(default=False, repr=False)
+    """True if people and robots that somebody plays slide along other agents as along walls (h3data docs play)."""
     progress_reward: float = 1.0
     """Reward for each metre of progress along the shortest path."""
     arrive_reward: float = 10.0
