@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import SceneError
 from h3data.scene import FreeSpace, Scene
+from h3data_crowds.imitation import imitation
 from h3data_crowds.robots import ROBOTS, SKILLS
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.motion.randomness import generator
@@ -66,7 +67,7 @@ class CrowdNav(Task):
     profile: ClassVar[str] = "social"
     columns: ClassVar[Mapping[str, Any]] = {"metrics.goal_distance": np.float32, "metrics.personal_space": np.bool_}
     control: ClassVar[Control] = VelocityControl({"robot": SKILLS})
-    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": ROBOTS}
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**ROBOTS, "imitation": imitation}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "dwa", "human": "orca"}
 
     def sample(

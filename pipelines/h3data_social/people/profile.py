@@ -88,7 +88,9 @@ def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> l
         moments = {name: row for name, row in (("goal", goal.row), ("collision", first)) if row >= 0}
         if goal.agent >= 0 and goal.row >= 0:
             moments["found"] = goal.row
-        computed.append(Computed(values=own, robot=robot, human=(*people, robot)[crowd.nearest_person(e)], moments=moments))
+        computed.append(
+            Computed(values=own, robot=robot, human=(*people, robot)[crowd.nearest_person(e)], moments=moments)
+        )
     return computed
 
 
