@@ -1,7 +1,7 @@
 """Script that trains `datasets/policies/crowd_imitation.npz`: a network that imitates `mpc` among people (DAgger).
 
 In the first round `mpc` drives, in later ones the network learned so far, and `mpc` says in each step what it would do
-there. The network learns from all rounds. About ten minutes of one core.
+there. The network learns from all rounds. About five minutes of one core.
 
     PYTHONPATH=pipelines python -m bake.crowd_imitation datasets/policies/crowd_imitation.npz
 """
