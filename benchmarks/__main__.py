@@ -46,6 +46,12 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--place", action="append", metavar="NAME", help="a place, again for more (people; default: all)"
     )
+    parser.add_argument(
+        "--tracks",
+        action="append",
+        metavar="FILE",
+        help="a file of tracks, or a recording that h3data import has written, again for more (people: these alone)",
+    )
     options = parser.parse_args(arguments)
     wanted: list[str] = options.groups
     if options.episodes is not None and options.episodes < 1:
@@ -63,7 +69,7 @@ def main(arguments: list[str]) -> int:
     for group in [g for g in GROUPS if not wanted or any(g == w or g.startswith(w + "_") for w in wanted)]:
         run = importlib.import_module(f"benchmarks.{group}").run
         given = {"episodes": options.episodes, "robots": options.robot, "humans": options.human}
-        given |= {"models": options.model, "places": options.place}
+        given |= {"models": options.model, "places": options.place, "tracks": options.tracks}
         takes = inspect.signature(run).parameters
         run(emit, **{name: value for name, value in given.items() if value is not None and name in takes})
     record = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import SceneError
 from h3data.scene import FreeSpace, Scene
+from h3data_crowds.imitation import imitation
 from h3data_crowds.robots import ROBOTS, SKILLS
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.motion.randomness import generator
@@ -46,6 +47,8 @@ class CrowdNavSpec(TaskSpec):
     """
     end_on_collision: bool = True
     """True if contact with a person ends the episode, as a failure."""
+    solid_agents: bool = field(default=False, repr=False)
+    """True if people and robots that somebody plays slide along other agents as along walls (h3data docs play)."""
     progress_reward: float = 1.0
     """Reward for each metre of progress along the shortest path."""
     arrive_reward: float = 10.0
@@ -64,7 +67,7 @@ class CrowdNav(Task):
     profile: ClassVar[str] = "social"
     columns: ClassVar[Mapping[str, Any]] = {"metrics.goal_distance": np.float32, "metrics.personal_space": np.bool_}
     control: ClassVar[Control] = VelocityControl({"robot": SKILLS})
-    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": ROBOTS}
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**ROBOTS, "imitation": imitation}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "dwa", "human": "orca"}
 
     def sample(

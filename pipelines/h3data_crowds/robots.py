@@ -73,14 +73,14 @@ def shortest_path(view: AgentView, base: BaseSpec) -> Velocity:
     return _drive(view, base, _wanted(view))
 
 
-def _people(view: AgentView) -> tuple[Array, Array]:
+def people_of(view: AgentView) -> tuple[Array, Array]:
     """Return positions [P, 2] [m] and velocities [P, 2] [m/s] of the people."""
     rows = [k for k, kind in enumerate(view.kinds) if kind == "human"]
     return view.places[rows, :2], (view.places[rows, :2] - view.before[rows, :2]) / STEP_S
 
 
 def _among_people(view: AgentView, base: BaseSpec, *, forces: bool) -> Velocity:
-    people, velocities = _people(view)
+    people, velocities = people_of(view)
     own = (view.xz - view.before[view.agent, :2]) / STEP_S
     reach = base.disc_radius_m + max(abs(offset) for offset in base.disc_offsets_m) / 2
     traits = np.array([Traits(CRUISE_MPS, 0.5, 0.2, reach, 1.0, 0.0)])
@@ -169,7 +169,7 @@ def _ways_left(view: AgentView, ends: Array) -> Array:
 
 
 def _best_plan(view: AgentView, base: BaseSpec, plans: NDArray[np.float64]) -> Velocity:
-    people, velocities = _people(view)
+    people, velocities = people_of(view)
     costs, ends = roll_plans(
         view.free.sdf,
         view.free.origin,

@@ -9,9 +9,11 @@ from h3data.recording.records import Recording
 def find_others(recording: Recording) -> tuple[int, tuple[int, ...]]:
     """Return the numbers of the measured agent (the first robot) and of the agents near it (all people).
 
-    Without a robot and a person, these are the first agent and all others. An `UnmeasurableError` is raised if there
-    are fewer than two agents.
+    Without a robot and a person, these are the first agent and all others. Near a robot alone there is nobody. An
+    `UnmeasurableError` is raised if there is no agent, or one person alone.
     """
+    if [agent.kind for agent in recording.agents] == ["robot"]:
+        return 0, ()
     robot, first = find_pair(recording)
     kinds = [agent.kind for agent in recording.agents]
     mixed = kinds[robot] != kinds[first]

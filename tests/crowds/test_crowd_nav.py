@@ -10,12 +10,17 @@ import pytest
 
 import h3data
 from benchmarks.people import hall
+from h3data.builtin import builtin_root
 from h3data.errors import SceneError
 from h3data.metrics import measure
 from h3data.scene import FreeSpace
 from h3data_crowds.crowd_nav import CrowdNav, CrowdNavSpec
+from h3data_crowds.imitation import FILE, PEOPLE, SEEN_M, observe
 from h3data_crowds.robots import ROBOTS
 from sim_kinematic.agents.roster import make_roster
+from sim_kinematic.policies.network import load_network
+from sim_kinematic.policies.policy import Velocity
+from sim_kinematic.policies.views import AgentView
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import simulate
@@ -34,7 +39,7 @@ def in_hall(floor: FreeSpace, person: tuple[float, float, float], **rules: Any) 
     return replace(episode, starts=np.array([[3.0, 6.0, 0.0], person]), extra={"goal": [13.0, 6.0]})
 
 
-@pytest.mark.parametrize("name", sorted(ROBOTS))
+@pytest.mark.parametrize("name", [*sorted(ROBOTS), "imitation"])
 def test_baselines_get_to_the_goal_past_somebody_who_stands_beside_the_path(floor: FreeSpace, name: str):
     episode = in_hall(floor, (8.0, 8.0, 0.0))
     recording = simulate(CrowdNav(), episode, {"robot": name, "human": "still"})
@@ -89,3 +94,36 @@ def test_environments_show_the_goal():
         seen, reward, *_ = env.step(np.tile(np.array([[1.0, 0.0]], np.float32), (2, 1)))
     assert np.isfinite(reward).all()
     env.close()
+
+
+class Shown:
+    """A robot that stands still and notes what the network would be shown."""
+
+    def __init__(self) -> None:
+        self.rows: list[np.ndarray] = []
+
+    def act(self, view: AgentView) -> Velocity:
+        self.rows.append(observe(view, view.base))
+        return Velocity(0.0, 0.0, "wait")
+
+
+def test_the_learned_robot_is_shown_the_same_wherever_it_looks_and_stands(floor: FreeSpace):
+    shown = []
+    for turned in (0.0, np.pi):  # the hall is symmetric about its centre (9, 6)
+        robot, person, goal = np.array([3.0, 5.0]), np.array([5.0, 6.5]), np.array([13.0, 6.0])
+        if turned:
+            robot, person, goal = ([18.0, 12.0] - place for place in (robot, person, goal))
+        episode = in_hall(floor, (*person.tolist(), 0.0))
+        starts = np.array([[*robot, turned + 0.3], [*person, 0.0]])
+        pupil = Shown()
+        simulate(
+            CrowdNav(),
+            replace(episode, spec=replace(episode.spec, max_steps=2), starts=starts, extra={"goal": goal.tolist()}),
+            {"robot": pupil, "human": "still"},
+        )
+        shown.append(pupil.rows[1])
+    assert load_network(builtin_root() / FILE).inputs == len(shown[0])
+    np.testing.assert_allclose(shown[0], shown[1], atol=0.03)  # of the grid of distances
+    people = shown[0][-5 * PEOPLE :].reshape(PEOPLE, 5)
+    assert people[0, 2] == pytest.approx(1 - np.hypot(2.0, 1.5) / SEEN_M, abs=1e-6)
+    assert not people[1:].any(), "nobody else is there"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ import h3data
 from h3data.errors import InputError, SceneError
 from h3data.recording import Recording
 from h3data.scene import FreeSpace
+from h3data.scene.open import named_scenes, open_free_space, open_scene
 from h3data_crowds.cards import choose_cards, load_cards
 from h3data_crowds.places import build_plan
 from h3data_crowds.scenarios import Scenarios, ScenarioSpec
@@ -62,6 +64,22 @@ def test_a_card_is_found_in_a_home_and_plays_again():
     recording = h3data.simulate("scenarios", "medium:1", seed=1, card="blind_corner", where="home")
     assert recording.episode.info["extra"]["where"] == "home"
     assert verify(recording).difference is None
+
+
+@pytest.mark.slow
+def test_every_card_can_be_generated_in_20_of_25_homes():
+    task, spec = Scenarios(), ScenarioSpec()
+    roster, generated, at_home = make_roster(task.agents), Counter[str](), Counter[str]()
+    for home in range(25):
+        (named,) = named_scenes(f"h3-homes/train#{home}")
+        scene, free = open_scene(named.source), open_free_space(named.source, spec.agent_radius_m, spec.agent_height_m)
+        for card in CARDS:
+            episode = task.sample(scene, free, 7, ScenarioSpec(card=card), roster)
+            generated[card] += 1
+            at_home[card] += episode.extra["where"] == "home"
+    assert min(generated.values()) >= 20
+    for card in ("blind_corner", "join_group", "leave_group", "following", "leading"):
+        assert at_home[card] == 25, "what docs/scenarios.md says"
 
 
 @pytest.mark.slow

@@ -471,3 +471,16 @@ def test_spaces_of_groups_by_hand():
 )
 def test_hostile_facts_about_people_are_no_groups(people):
     assert_values(crowd(still(0, 0, 3), still(1, 0, 3), still(2, 0, 3), info={"people": people}), GCR=math.nan)
+
+
+def test_a_robot_alone_is_measured_but_for_what_needs_people():
+    info = {"goal": [3.0, 0.0]}
+    alone = crowd([(0, 0), (1, 0), (2, 0), (3, 0)], info=info, **{"metrics.robot_contact": np.zeros(4, np.bool_)})
+    assert_values(alone, S=1.0, H_coll=0.0, PL=3.0, SPL=1.0, T=3.0, PSC=math.nan, TTC_min=math.nan, V_people=math.nan)
+    # beside an episode with people it is the same, and so are they
+    both = [alone, crowd([(0, 0), (1, 0)], [(3, 0), (3, 0)], info=info)]
+    profile = find_profile("social", "point_goal")
+    assert [each.to_dict() for each in profile.measure_many(both)] == [profile.measure(each).to_dict() for each in both]
+    assert len(series_of(alone, "social")["dist_m"]) == 4
+    with pytest.raises(InputError, match="H3-METRIC-029"):
+        measure(alone, "field")

@@ -330,3 +330,13 @@ def test_markup_in_an_instruction_and_in_messages_is_shown_and_not_run(tmp_path:
         said = play("wordsAt", f"{server.links[0]}@1280x720", tmp_path)
     assert said["task"].count("<img src=x onerror=alert(1)>") == 2
     assert not said["run"]
+
+
+def test_names_stand_over_the_heads_of_others_in_the_picture(tmp_path: Path) -> None:
+    from tests.play.server import Server
+
+    with Server(tmp_path / "out", app="crowd", partner=None, scenes="small:0") as server:
+        said = play("names", server.links[0], tmp_path)
+    assert said["others"] == 4
+    assert said["names"]
+    assert set(said["names"]) <= {"Robot", "Person 1", "Person 2", "Person 3"}

@@ -88,6 +88,8 @@ class App:
     """Policy of the agents without a player, unless the command line names one. None selects the task's default, and
     ``solo`` adds no such agents."""
 
+    names: bool = False
+    """True if a name stands over the head of every other agent."""
     question: ClassVar[str] = ""
     """Question to players at the end of an episode, answered by yes, no or unsure. If it is empty, no question is
     asked, and players can neither skip an episode nor report a problem."""

@@ -110,6 +110,7 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
         "phrases": [phrase._asdict() for phrase in app.phrases()],
         "spots": [spot._asdict() for spot in app.spots()],
         "asks": bool(app.question),
+        "names": app.names,
         "floor_y": float(episode.free.floor_y),
         "heights": episode.free.heights.round(6).tolist(),
         "dt": PERIOD_S,

@@ -270,6 +270,7 @@ class LiveGame:
             table.task, episode, policies, sink=None if path is None else sink, episode_id=str(index), info=info
         )
         self.app: App = table.app()
+        self.app.names |= plan.names
         self.app.reset(self.session)
         self.drivers: dict[int, Driver] = {k: self.app.driver(k) for k in table.numbers}
         for k in table.numbers:

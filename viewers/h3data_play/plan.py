@@ -36,6 +36,8 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     """Motion file with the gait of people; None for the default gait."""
     rules: dict[str, Any] = {}
     """Rules of the task that replace those of the app."""
+    names: bool = False
+    """True if a name stands over the head of every other agent, also where the app has none."""
 
     @property
     def partner_here(self) -> str | None:

@@ -33,6 +33,8 @@ class Condition(Record, frozen=True):
     """Policy of all agents without a player (a name, ``weights:FILE``, or ``solo``); None selects the task's default."""
     rules: dict[str, Any] = {}
     """Rules of the task that replace those of the app."""
+    names: bool = False
+    """True if participants see a name over the head of every other agent."""
     text: Text = ""
     """Text that participants read before the first episode. It should not reveal the condition."""
 

@@ -352,6 +352,7 @@ def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
                 seed=design.seed,
                 speed=speed,
                 rules=condition.rules,
+                names=condition.names,
                 weights_in=str(folder.resolve().parent),
             )
             if not any(key.startswith(f"{name}|") for key in numbers):

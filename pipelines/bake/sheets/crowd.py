@@ -16,7 +16,7 @@ from h3data_crowds.crowd_nav import CrowdNav
 
 ROSTER = ("robot", "female_0", "male_1", "female_2", "male_3")
 SCENE, SEED = "medium:1", 6
-SHARES = (0.15, 0.35, 0.55, 0.75)
+SHARES = (0.5, 0.8, 0.85, 0.9)
 
 
 def main(out: str) -> None:

@@ -32,7 +32,7 @@ from h3data_social.field.definitions import (
     STALLED_RAD_S,
 )
 from h3data_social.field.goal import Goal, find_goal
-from h3data_social.others import find_others
+from h3data_social.others import find_others, find_pair
 
 if TYPE_CHECKING:
     from h3data.scene import FreeSpace
@@ -61,6 +61,7 @@ def compute_field(recording: Recording, notes: Notes) -> Computed:
 
     Without a robot and a person, the first agent is measured near all others, and a note names them.
     """
+    find_pair(recording)  # a robot alone is near nobody
     robot, others = find_others(recording)
     names = [metric.name for metric in FIELD_METRICS]
     note_missing(FIELD_METRICS, recording, notes)
@@ -107,6 +108,7 @@ def field_series(recording: Recording) -> Series:
     Motion is NaN in row 0. Distances, times to collision and zones refer to the nearest person. ``goal`` is false in
     all rows if no goal is known.
     """
+    find_pair(recording)
     return _series(recording, find_goal(recording), *_offsets(recording))
 
 

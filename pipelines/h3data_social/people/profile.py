@@ -58,10 +58,10 @@ Flags = NDArray[np.bool_]
 def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> list[Computed]:
     """Compute all metrics of the first robot near all people of each recording.
 
-    `Computed.human` is the person who comes nearest to the robot.
+    `Computed.human` is the person who comes nearest to the robot; the robot itself where it is alone.
     """
     for recording, note in zip(recordings, notes, strict=True):
-        find_agents(recording)  # before anything is computed, whoever lacks a robot or a person
+        _require_robot(recording)  # before anything is computed
         note_missing(SOCIAL_METRICS, recording, note)
     some = [k for k, recording in enumerate(recordings) if len(recording)]
     crowd = _Crowd.of([recordings[k] for k in some]) if some else None
@@ -72,7 +72,7 @@ def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> l
         robot, people = find_others(recording)
         if not len(recording):
             note.add((m.name for m in SOCIAL_METRICS), "the recording has no rows")
-            computed.append(Computed(values={}, robot=robot, human=people[0]))
+            computed.append(Computed(values={}, robot=robot, human=(*people, robot)[0]))
             continue
         assert crowd
         e = some.index(k) if len(some) < len(recordings) else k
@@ -88,13 +88,15 @@ def compute_social(recordings: Sequence[Recording], notes: Sequence[Notes]) -> l
         moments = {name: row for name, row in (("goal", goal.row), ("collision", first)) if row >= 0}
         if goal.agent >= 0 and goal.row >= 0:
             moments["found"] = goal.row
-        computed.append(Computed(values=own, robot=robot, human=people[crowd.nearest_person(e)], moments=moments))
+        computed.append(
+            Computed(values=own, robot=robot, human=(*people, robot)[crowd.nearest_person(e)], moments=moments)
+        )
     return computed
 
 
 def social_series(recording: Recording) -> Series:
     """Compute the per-row quantities and flags [T]. Motion in row k is since row k - 1, and NaN in row 0."""
-    find_agents(recording)
+    _require_robot(recording)
     crowd = _Crowd.of([recording])
     series = {
         "dist_m": crowd.nearest,
@@ -112,6 +114,12 @@ def social_series(recording: Recording) -> Series:
     series["o_space"] = np.asarray((gaps < radii).any(axis=1))
     flags = {"collision": contacts.touched, "wall_contact": _rows_of(contacts.walls)}
     return series | {name: held for name, held in flags.items() if held is not None}
+
+
+def _require_robot(recording: Recording) -> None:
+    """Raise an `UnmeasurableError` unless there is a robot with people, or alone."""
+    if find_others(recording)[1]:
+        find_agents(recording)
 
 
 @dataclass(frozen=True)
@@ -141,7 +149,9 @@ class _Contacts:
         walls = _flags(columns[SLIDING]) if SLIDING in columns else None
         touched = _flags(columns[PEOPLE]) if PEOPLE in columns else None
         note = ""
-        if touched is not None and touched.shape[1] != len(people):
+        if not people:
+            touched = np.zeros((rows, 0), np.bool_)
+        elif touched is not None and touched.shape[1] != len(people):
             note = f"column {PEOPLE} is of {touched.shape[1]} people; there are {len(people)}"
             touched = None
         elif touched is None and anybody is not None:
@@ -203,7 +213,8 @@ class _Crowd:
     def of(cls, recordings: Sequence[Recording]) -> _Crowd:
         """Return the crowd of recordings that have rows, a robot and people."""
         found = [find_others(recording) for recording in recordings]
-        most = max(len(people) for _, people in found)
+        # a robot alone has one person, who is nowhere
+        most = max(1, *(len(people) for _, people in found))
         rows = Rows.of([len(recording) for recording in recordings])
         pose = np.concatenate(
             [

@@ -63,8 +63,8 @@ class Play:
 
     app: tyro.conf.Positional[str]
     """rearrange: bring two objects to their places. social_nav: walk freely while a robot has to find and follow you.
-    tutorial: learn to walk, look, take and place. teleop: drive the robot, take and place with its arm. language: carry
-    out an instruction in words. module:Class: a custom app or task (h3data docs play)."""
+    tutorial: learn to walk, look, take and place. teleop: drive the robot, take and place with its arm. crowd: walk about
+    among other people. language: carry out an instruction in words. module:Class: a custom app or task (h3data docs play)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the recordings (default: a new one below out/play)."""
     seats: Annotated[tuple[str, ...], tyro.conf.arg(name="as")] = ()
@@ -83,6 +83,8 @@ class Play:
     """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
     motion: Path | None = None
     """Motion file that sets how people walk, as for h3data generate."""
+    names: bool = False
+    """Show a name over the head of every other person and robot."""
     observe: ObserveOption = None
     overrides: OverridesOption = ()
     rules: RuleSetOption = None
@@ -165,6 +167,7 @@ class Play:
             walk_file(str(self.motion.resolve()))  # refuses what cannot be played
         return {
             **({} if self.motion is None else {"motion": str(self.motion.resolve())}),
+            **({"names": True} if self.names else {}),
             "app": self.app,
             "out": str(out.resolve()),
             "seats": sorted(seats, key=lambda name: name == "spectator"),

@@ -5,6 +5,7 @@ import type { HeightRow } from "../motion/floor.ts";
 import type { Joint } from "../scene/joints.ts";
 import type { Link, Pose7 } from "../scene/robot.ts";
 import type { SdfShape } from "../motion/sdf.ts";
+import { say } from "../words.ts";
 
 /** Somebody who is shown. */
 export interface StagedAgent {
@@ -69,7 +70,18 @@ export interface Manifest extends Stage {
   spots: { name: string; label: string; room: string }[];
   /** Whether a question follows the end, and an episode can be skipped. */
   asks: boolean;
+  /** Whether a name stands over the head of every other agent. */
+  names: boolean;
   /** Seconds per step. */
   dt: number;
   sdf: SdfShape & { url: string };
+}
+
+/** What an agent is called on the page: by its kind, with a number where another one is alike. */
+export function called(manifest: Manifest, agent: number): string {
+  if (agent === manifest.me) return say("you");
+  const { kind } = manifest.agents[agent]!;
+  const alike = manifest.agents.flatMap((other, k) => (other.kind === kind && k !== manifest.me ? [k] : []));
+  const word = say(kind === "robot" ? "the_robot" : "the_person");
+  return alike.length > 1 ? `${word} ${alike.indexOf(agent) + 1}` : word;
 }

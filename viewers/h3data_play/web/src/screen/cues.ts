@@ -3,7 +3,7 @@
 import { Vector3, type PerspectiveCamera } from "three";
 import { NEAR_M, turnText, type Situation } from "../player/actions.ts";
 import type { Base } from "../motion/drive.ts";
-import type { Manifest } from "../link/manifest.ts";
+import { called, type Manifest } from "../link/manifest.ts";
 import { FloorRing, Ghost, Labels, type Box, type Mark } from "./markers.ts";
 import { MiniMap } from "./minimap.ts";
 import { JOINT, MARKER, thingColor } from "./palette.ts";
@@ -24,6 +24,8 @@ const JOINT_KEYS: Record<string, string> = { keys: "O", pad: "LB" };
 type Bubbles = ReadonlyMap<number, { text: string; until: number }>;
 /** Bubbles stand this high over the floor, m. */
 const HEAD_M = { human: 1.95, robot: 1.5 };
+/** Others have a name over their head up to this distance, m; in a home, those farther away are behind walls. */
+const NAMES_M = 6;
 
 export class Cues {
   private readonly labels: Labels;
@@ -91,7 +93,7 @@ export class Cues {
       if (now.done[k]) ring.hide();
       else ring.show(x, y + this.heights[k]! + 0.004, z, now.held === k ? 1 + 0.12 * Math.sin(performance.now() / 180) : 1);
     });
-    const marks = [...this.speech(state, me, own, bubbles), ...this.marks(state, now, me < 0 ? null : own)];
+    const marks = [...this.speech(state, me, own, bubbles), ...this.names(state, me, own, camera, bubbles), ...this.marks(state, now, me < 0 ? null : own)];
     this.labels.show(marks, camera, innerWidth, innerHeight, this.taken());
     if (this.frame++ % MAP_FRAMES) return;
     this.drawMap(state, now, me, own, yaw);
@@ -101,11 +103,28 @@ export class Cues {
   private speech(state: State, me: number, own: Base, bubbles: Bubbles): Mark[] {
     return [...bubbles].flatMap(([agent, { text, until }]): Mark[] => {
       if (until < performance.now()) return [];
-      const at = agent === me ? own : state.agents[agent]!;
-      const high = HEAD_M[this.manifest.agents[agent]!.kind];
-      const point = new Vector3(at.x, this.world.floor.height(at.x, at.z) + high, at.z);
+      const point = this.over(agent, agent === me ? own : state.agents[agent]!);
       return [{ point, text, thing: MARKER, near: true, far: null, chip: "“", speech: true }];
     });
+  }
+
+  /** Names over the heads of others, where they are wanted; who says something has a bubble there. */
+  private names(state: State, me: number, own: Base, camera: PerspectiveCamera, bubbles: Bubbles): Mark[] {
+    if (!this.manifest.names) return [];
+    return this.manifest.agents.flatMap((agent, k): Mark[] => {
+      const at = state.agents[k]!;
+      const far = me < 0 ? 0 : Math.hypot(at.x - own.x, at.z - own.z);
+      if (k === me || far > NAMES_M || (bubbles.get(k)?.until ?? 0) > performance.now()) return [];
+      const point = this.over(k, at);
+      const seen = point.clone().project(camera);
+      if (seen.z > 1 || Math.abs(seen.x) > 1 || Math.abs(seen.y) > 1) return [];
+      return [{ point, text: called(this.manifest, k), thing: MARKER, near: true, far: null, chip: agent.kind === "robot" ? "⚙" : "●" }];
+    });
+  }
+
+  /** The point over an agent's head. */
+  private over(agent: number, at: { x: number; z: number }): Vector3 {
+    return new Vector3(at.x, this.world.floor.height(at.x, at.z) + HEAD_M[this.manifest.agents[agent]!.kind], at.z);
   }
 
   private marks(state: State, now: Situation, own: Base | null): Mark[] {

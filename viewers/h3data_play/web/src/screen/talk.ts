@@ -1,6 +1,6 @@
 /** What agents say to each other: a log, bubbles over their heads, a box for one's own words and ready-made messages. */
 
-import type { Manifest } from "../link/manifest.ts";
+import { called, type Manifest } from "../link/manifest.ts";
 import { heard, say } from "../words.ts";
 
 /** A message that this player has said or heard, in the order of the recording. */
@@ -76,11 +76,7 @@ export class Talk {
   }
 
   private name(agent: number): string {
-    if (agent === this.manifest.me) return say("you");
-    const { kind } = this.manifest.agents[agent]!;
-    const alike = this.manifest.agents.flatMap((other, k) => (other.kind === kind && k !== this.manifest.me ? [k] : []));
-    const word = say(kind === "robot" ? "the_robot" : "the_person");
-    return alike.length > 1 ? `${word} ${alike.indexOf(agent) + 1}` : word;
+    return called(this.manifest, agent);
   }
 
   private show(open: boolean): void {

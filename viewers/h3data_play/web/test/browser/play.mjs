@@ -23,6 +23,21 @@ async function task() {
   return { over: await player.over, ...(await player.close()) };
 }
 
+/** Names over the heads of others: turns until one is in the picture. */
+async function names() {
+  const player = await openPage(url, { width: 960, height: 540 });
+  await player.started();
+  const labels = `[...document.querySelectorAll(".mark:not([hidden]) .name")].map((label) => label.textContent)`;
+  let seen = [];
+  for (let k = 0; k < 30 && !seen.length; k++) {
+    await player.press("a", 200);
+    seen = await player.ask(labels);
+  }
+  await player.shot(picture("names"));
+  const others = await player.ask("probe.game.manifest.agents.length - 1");
+  return { names: seen, others, ...(await player.close()) };
+}
+
 /** Walks about by keys: how far prediction and server are apart, and how soon a key shows. */
 async function walk() {
   const player = await openPage(url, { width: 480, height: 300 });
@@ -752,6 +767,6 @@ const OVERLAPS = `(() => {
   return [...out, ...seen.flatMap(([a, one], k) => seen.slice(k + 1).flatMap(([b, two]) => (on(one, two) ? [[a, b]] : [])))];
 })()`;
 
-const SCENARIOS = { task, walk, click, reconnect, headset, headsetStays, together, sizes, layout, postures, chores, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
+const SCENARIOS = { task, walk, names, click, reconnect, headset, headsetStays, together, sizes, layout, postures, chores, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
