@@ -24,7 +24,7 @@ from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.yielding import ObservedAgent
+from sim_kinematic.avoidance.yielding import Onlookers
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.body_capsules import AgentCapsules, may_touch
 from sim_kinematic.contact.clearance import clip_reach, robot_span
@@ -69,7 +69,11 @@ class GivingWay:
             in_clips: whether people only move as in their motion clips, so that their hands stay near.
         """
         self.actors, self.right_of_way, self.agreed, self.solid = actors, right_of_way, agreed, solid
+        self.onlookers = Onlookers.of(actors)
+        """All agents as they were after their last turns, which the others observe."""
         self._people_see_robot, self._person_radius_m = people_see_robot, person_radius_m
+        self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
+        self._heeded = np.array([[self.avoids(me, other) for other in actors] for me in actors])
         for actor in actors:
             actor.company = self
         self.touching: list[tuple[int, int]] = []
@@ -81,7 +85,6 @@ class GivingWay:
         for track, actor in zip(self._places, actors, strict=True):
             track[0] = actor.xz
         self._pairs = list(combinations(range(len(actors)), 2))
-        self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
         self.bodies = [agent.body for agent in roster]
         self._capsules = [AgentCapsules(body) for body in self.bodies]
         # the gate allows for `quad_arm`; each agent has half of it, and a longer robot what it is longer
@@ -91,17 +94,15 @@ class GivingWay:
         if in_clips:
             people = {k: clip_reach(body) for k, body in enumerate(self.bodies) if not isinstance(body, Robot)}
             self._reach_m = [min(people.get(k, reach), reach) for k, reach in enumerate(self._reach_m)]
+        self._reaches = np.array(self._reach_m)
         self._posed, self._gated = {}, {}
         """Stances to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
         self._clear: dict[tuple[int, int], tuple[_Stance, _Stance]] = {}
         """Stances in which the capsules of a pair were last farther apart than they have to be by `SPARE_M`."""
-        self._acted: set[int] = set()
-        """Agents that have acted in this step."""
         self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
         """Place (x, z) of each agent; for the agent whose turn it is, the place before that."""
-        self._seen: dict[int, ObservedAgent] = {}
-        """Agents as others see them, computed for agents that others have observed since their last action."""
-        self._settled = np.zeros(len(actors), np.bool_)
+        for actor in actors:
+            self.end_turn(actor.number)
 
     @cached_property
     def _contacts(self) -> AgentContacts:
@@ -135,37 +136,22 @@ class GivingWay:
         if self.right_of_way is not None:
             self.right_of_way.update(carrying)
 
-    def begin_turn(self, me: AnyActor) -> None:
-        """Update an agent's view of the others and their motion before its own step."""
-        seen, me.hindered_by = [self._observed(other) for other in self._avoided[me.number]], frozenset()
-        if len(seen) > 1:
-            # stable: agents at the same distance keep the order of their numbers on every machine
-            gaps = np.array([other.xz for other in seen]) - me.xz
-            seen = [seen[k] for k in np.hypot(*gaps.T).argsort(kind="stable").tolist()]
-        me.others = tuple(seen)
+    def around(self, number: int) -> Onlookers:
+        """Return all agents as others observe them, and which of them an agent gives way to."""
+        return self.onlookers._replace(heeded=self._heeded[number], agreed=self.agreed)
 
-    def _observed(self, other: AnyActor) -> ObservedAgent:
-        """Return what all see of an agent, which only its own turn changes."""
-        number, count = other.number, self._moments
-        if number not in self._seen:
-            track, is_robot, moved = self._places[number], other.is_robot, number in self._acted
-            # a copy, because a robot's place is a view that its next step changes
-            now = other.xz.copy() if moved else track[count - 1]
-            # who has moved in this step is one row ahead of the track: the interval is as long either way
-            first = max(count - AVOIDANCE.velocity_steps - (not moved), 0)
-            velocity = (now - track[first]) / (STEP_S * max(count - first - (not moved), 1))
-            steps_aside = self.agreed and other.yields and other.path_start is None
-            settled, heading, footprint = bool(self._settled[number]), other.heading, other.footprint
-            self._seen[number] = ObservedAgent(
-                number, now, velocity, settled, is_robot, heading, steps_aside, footprint
-            )
-        return self._seen[number]
+    def begin_turn(self, me: AnyActor) -> None:
+        """Prepare an agent for its own step."""
+        me.hindered_by = frozenset()
 
     def end_turn(self, number: int) -> None:
-        """Note that an agent has acted and has moved."""
-        self._acted.add(number)
-        self._seen.pop(number, None)
-        self._at[number] = self.actors[number].xz.tolist()
+        """Note where an agent is after its turn, which is what the others observe of it until its next one."""
+        actor, first = self.actors[number], max(self._moments - AVOIDANCE.velocity_steps, 0)
+        self._at[number] = [x, z] = actor.xz.tolist()
+        was_x, was_z = self._places[number, first].tolist()
+        seconds = STEP_S * max(self._moments - first, 1)
+        idle = actor.yields and actor.path_start is None
+        self.onlookers.note(number, x, z, actor.heading, ((x - was_x) / seconds, (z - was_z) / seconds), idle=idle)
 
     def meets(self, me: AnyActor) -> bool:
         """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
@@ -212,11 +198,10 @@ class GivingWay:
         if self._moments == self._places.shape[1]:
             self._places = np.concatenate([self._places, np.empty_like(self._places)], axis=1)
         self._moments += 1
-        self._acted.clear()
-        self._seen.clear()
-        self._at = [actor.xz.tolist() for actor in self.actors]
-        _CALL(_note, self._places, self._moments, np.array(self._at), self._settled, *_STILL)
-        self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
+        near = _CALL(_note, self._places, self._moments, self.onlookers.agents, self._reaches, *_STILL)
+        self.touching = []
+        if near:
+            self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
 
     def _is_near(self, a: int, here: list[float], b: int) -> bool:
         """Return whether an agent at (x, z) could touch another with their arms stretched out."""
@@ -297,18 +282,28 @@ def _has_changed(number: int, now: _Stance, kept: dict[int, _Stance]) -> bool:
 
 
 @kernel(error_model="numpy")
-def _note(places, moments, at, settled, count, still):
-    """Add where agents are [N, 2] to their tracks [N, T, 2], and notes which have been standing for ``count`` steps."""
-    for n in range(len(at)):
-        settled[n] = moments >= count
+def _note(places, moments, agents, reach, count, still):
+    """Add where agents [N] are to their tracks [N, T, 2], and note which have been standing for ``count`` steps.
+
+    Returns whether two of them are within the sum of their ``reach`` [N] [m].
+    """
+    near = False
+    for n in range(len(agents)):
+        settled = moments >= count
+        places[n, moments - 1, 0], places[n, moments - 1, 1] = agents[n]["x"], agents[n]["z"]
         for axis in range(2):
-            low = high = places[n, moments - 1, axis] = at[n, axis]
+            low = high = places[n, moments - 1, axis]
             # the oldest first: of who moves, it is the farthest away
             for t in range(max(moments - count, 0), moments):
                 low, high = min(low, places[n, t, axis]), max(high, places[n, t, axis])
-                if not settled[n] or high - low >= still:
-                    settled[n] = False
+                if not settled or high - low >= still:
+                    settled = False
                     break
+        agents[n]["settled"] = settled
+        for other in range(n):
+            gap_x, gap_z = agents[other]["x"] - agents[n]["x"], agents[other]["z"] - agents[n]["z"]
+            near |= math.hypot(gap_x, gap_z) <= reach[n] + reach[other]
+    return near
 
 
 def _stored(values: Array) -> NDArray[np.float64]:
