@@ -99,8 +99,8 @@ class GivingWay:
         """Stances to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
         self._clear: dict[tuple[int, int], tuple[_Stance, _Stance]] = {}
         """Stances in which the capsules of a pair were last farther apart than they have to be by `SPARE_M`."""
-        self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
-        """Place (x, z) of each agent; for the agent whose turn it is, the place before that."""
+        self.at: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * len(actors)
+        """Place ``(x, z, heading)`` of each agent; for the agent whose turn it is, the place before that."""
         for actor in actors:
             self.end_turn(actor.number)
 
@@ -134,7 +134,7 @@ class GivingWay:
     def begin_step(self, carrying: Sequence[int] = ()) -> None:
         """Decide which agents step aside in the next step; ``carrying`` are the numbers of those with an object."""
         if self.right_of_way is not None:
-            self.right_of_way.update(carrying)
+            self.right_of_way.update(carrying, self.onlookers.agents)
 
     def around(self, number: int) -> Onlookers:
         """Return all agents as others observe them, and which of them an agent gives way to."""
@@ -147,11 +147,10 @@ class GivingWay:
     def end_turn(self, number: int) -> None:
         """Note where an agent is after its turn, which is what the others observe of it until its next one."""
         actor, first = self.actors[number], max(self._moments - AVOIDANCE.velocity_steps, 0)
-        self._at[number] = [x, z] = actor.xz.tolist()
-        was_x, was_z = self._places[number, first].tolist()
-        seconds = STEP_S * max(self._moments - first, 1)
-        idle = actor.yields and actor.path_start is None
-        self.onlookers.note(number, x, z, actor.heading, ((x - was_x) / seconds, (z - was_z) / seconds), idle=idle)
+        (x, z), (was_x, was_z) = actor.xz.tolist(), self._places[number, first].tolist()
+        self.at[number], seconds = (x, z, actor.heading), STEP_S * max(self._moments - first, 1)
+        velocity, flags = ((x - was_x) / seconds, (z - was_z) / seconds), (actor.yields, bool(actor.hindered_by))
+        self.onlookers.note(number, actor, velocity, actor.path_start, yields=flags[0], hindered=flags[1])
 
     def meets(self, me: AnyActor) -> bool:
         """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
@@ -201,11 +200,12 @@ class GivingWay:
         near = _CALL(_note, self._places, self._moments, self.onlookers.agents, self._reaches, *_STILL)
         self.touching = []
         if near:
-            self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
+            self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self.at[a], b) and self._touch(a, b)]
 
-    def _is_near(self, a: int, here: list[float], b: int) -> bool:
+    def _is_near(self, a: int, here: Sequence[float], b: int) -> bool:
         """Return whether an agent at (x, z) could touch another with their arms stretched out."""
-        return math.dist(here, self._at[b]) <= self._reach_m[a] + self._reach_m[b]
+        there = self.at[b]
+        return math.hypot(here[0] - there[0], here[1] - there[1]) <= self._reach_m[a] + self._reach_m[b]
 
     def _touch(self, a: int, b: int) -> bool:
         """Return whether two agents touch as they are now."""

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise, product
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_of_paths, distance_to_path, first_of_path, is_ahead
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
-from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
+from sim_kinematic.avoidance.yielding import NO_PATH, Body, Onlookers, discs_of
 
 _CALL = Entries()
 MARK = np.dtype(
@@ -139,14 +139,20 @@ class RightOfWay:
         """Use another floor from now on, because a door or a drawer has moved."""
         self._free, self._routes = free, FloorRoutes.of(free)
 
-    def update(self, carrying: Sequence[int] = ()) -> None:
-        """Set ``aside`` of every agent, given the numbers of the agents that hold something (``carrying``)."""
-        now = []
-        for walker in self._walkers.values():
-            start = self._start(walker)
-            path = (math.nan, math.nan) if start is None else start
-            now.append((*walker.xz.tolist(), walker.heading, *path, bool(walker.hindered_by), walker.yields))
-        may_block, near = _CALL(count_step, np.array(now), self._marks, _COUNTS)
+    def update(self, carrying: Sequence[int] = (), agents: NDArray[Any] | None = None) -> None:
+        """Set ``aside`` of every agent.
+
+        Args:
+            carrying: numbers of the agents that hold something.
+            agents: present state of the agents, `AGENT` [A], in the order of the walkers; None: the walkers are looked at.
+        """
+        agents = self._looked() if agents is None else agents
+        if self._requests:
+            agents = agents.copy()
+            for number, request in self._requests.items():
+                row, start = agents[self._row[number]], (math.nan, math.nan)
+                row["start_x"], row["start_z"] = (row["x"], row["z"]) if len(request.route) else start
+        may_block, near = _CALL(count_step, agents, self._marks, _COUNTS)
         for number, request in self._requests.items():
             request.advance(self._walkers[number])
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
@@ -172,6 +178,14 @@ class RightOfWay:
             waiting = asked + [other for other in waiting if other not in asked]
         for number, walker in self._walkers.items():
             walker.aside = self._requests[number].route if number in self._requests else None
+
+    def _looked(self) -> NDArray[Any]:
+        """Return the present state of the agents, `AGENT` [A]."""
+        walkers = list(self._walkers.values())
+        found = Onlookers.of(walkers)
+        for k, walker in enumerate(walkers):
+            found.note(k, walker, start=walker.path_start, yields=walker.yields, hindered=bool(walker.hindered_by))
+        return found.agents
 
     def _stalled(self, number: int) -> int:
         """Return the number of steps for which an agent with a path has made no progress."""
@@ -513,19 +527,19 @@ def is_close(x, z, other_x, other_z, moves, yields, held_up, beside, extent, mov
 
 
 @kernel(error_model="numpy")
-def count_step(now, marks, rules):
+def count_step(agents, marks, rules):
     """Count a step of all agents, and return whether one may block another, and whether two are near each other.
 
     Args:
-        now: place and heading of each agent, the first point of its path or NaN, whether others have stopped it in its last
-            step, and whether it can step aside [A, 7].
+        agents: agents before the step, `AGENT` [A].
         marks: `MARK` [A], which is changed in place.
         rules: movement [m] and turn [rad] above which an agent gets on, steps after which it is held up, distance of
             stand-offs [m], and distances [m] within which agents that move, and idle ones, may be asked to step aside.
     """
     progress_m, progress_rad, held_up_steps, stand_off_m, moving_m, idle_m = rules
-    for n in range(len(now)):
-        mark, (x, z, heading) = marks[n], (now[n, 0], now[n, 1], now[n, 2])
+    for n in range(len(agents)):
+        mark, agent = marks[n], agents[n]
+        x, z, heading = agent["x"], agent["z"], agent["heading"]
         # measured from where it last got on, not from step to step: an agent that sways on the spot makes no progress
         gone = math.hypot(x - mark["x"], z - mark["z"])
         # as `h3data.geometry.wrap_angle`, in any bit: ten steps of a person's turn are as much as the limit
@@ -534,16 +548,19 @@ def count_step(now, marks, rules):
             mark["stalled"] = mark["still"] = 0
             mark["x"], mark["z"], mark["heading"] = x, z, heading
         mark["still"] += 1
-        mark["stalled"] = mark["stalled"] + 1 if not math.isnan(now[n, 3]) or now[n, 5] > 0.0 else 0
+        mark["stalled"] = mark["stalled"] + 1 if not math.isnan(agent["start_x"]) or agent["hindered"] else 0
     may_block = near = False
-    for me in range(len(now)):
-        held_up = marks[me]["stalled"] >= held_up_steps
-        for other in range(len(now)):
-            if other == me:
+    for me in range(len(agents)):
+        mine, held_up = agents[me], marks[me]["stalled"] >= held_up_steps
+        for n in range(len(agents)):
+            if n == me:
                 continue
-            x, z, moves, yields = now[other, 0], now[other, 1], not math.isnan(now[other, 3]), now[other, 6] > 0.0
-            near |= math.hypot(x - now[me, 0], z - now[me, 1]) <= stand_off_m
-            may_block |= yields and held_up and now[me, 5] > 0.0
-            reach = marks[me]["beside"], marks[other]["extent"]
-            may_block |= is_close(now[me, 3], now[me, 4], x, z, moves, yields, held_up, *reach, moving_m, idle_m)
+            other, moves = agents[n], not math.isnan(agents[n]["start_x"])
+            x, z, yields = other["x"], other["z"], other["yields"]
+            near |= math.hypot(x - mine["x"], z - mine["z"]) <= stand_off_m
+            may_block |= yields and held_up and mine["hindered"]
+            reach = marks[me]["beside"], marks[n]["extent"]
+            may_block |= is_close(
+                mine["start_x"], mine["start_z"], x, z, moves, yields, held_up, *reach, moving_m, idle_m
+            )
     return may_block, near

@@ -34,15 +34,16 @@ RULES = (
 """Constants of `blocker` and `discs_to_avoid`."""
 AGENT = np.dtype(
     [
-        *((name, "f8") for name in ("x", "z", "heading", "cos", "sin", "velocity_x", "velocity_z", "radius", "extent")),
+        *((name, "f8") for name in ("x", "z", "heading", "cos", "sin", "velocity_x", "velocity_z")),
+        *((name, "f8") for name in ("start_x", "start_z", "radius", "extent")),
         *((name, "i8") for name in ("number", "discs")),
-        *((name, "?") for name in ("is_robot", "settled", "idle")),
+        *((name, "?") for name in ("is_robot", "settled", "yields", "hindered")),
     ]
 )
 """Type of an agent as others observe it: place [m], heading [rad] with its cosine and sine, mean velocity over the last
-steps [m/s], radius of the discs of its footprint and its extent [m]; its number, and the number of its discs; whether it
-is a robot, has stood still for a long time (`AvoidanceSpec.still_steps`), and has no destination, so that it steps aside
-when asked."""
+steps [m/s], first point of its path or NaN, radius of the discs of its footprint and its extent [m]; its number, and the
+number of its discs; whether it is a robot, has stood still for a long time (`AvoidanceSpec.still_steps`), can step aside
+now, and was stopped by others in its last step."""
 
 
 class Body(Protocol):
@@ -92,26 +93,27 @@ class Onlookers(NamedTuple):
             found.agents["number"][k], found.agents["discs"][k] = k, len(footprint.offsets_m)
             found.agents["radius"][k], found.agents["extent"][k] = footprint.radius_m, footprint.extent_m
             found.agents["is_robot"][k] = body.is_robot
-            x, z = body.xz.tolist()
-            found.note(k, x, z, body.heading)
+            found.note(k, body)
         return found
 
     def note(
         self,
         k: int,
-        x: float,
-        z: float,
-        heading: float,
+        body: Body,
         velocity: tuple[float, float] = (0.0, 0.0),
+        start: NDArray[np.floating] | None = None,
         *,
-        idle: bool = False,
+        yields: bool = False,
+        hindered: bool = False,
     ) -> None:
-        """Write what the turn of the agent in row ``k`` has changed."""
-        c, s = 1.0, 0.0
-        if self.offsets[k].any():  # discs beside its middle
-            # NumPy's: kernels would compute other bits
-            c, s = float(np.cos(heading)), float(np.sin(heading))
-        _CALL(_note, self.agents, k, x, z, float(heading), c, s, *velocity, idle)
+        """Write what a turn of the agent in row ``k`` changes: its place, its velocity, and the first point of its path."""
+        # NumPy's, as kernels would compute other bits; people are one disc around their middle
+        heading = float(body.heading)
+        turned = (float(np.cos(heading)), float(np.sin(heading))) if body.is_robot else (1.0, 0.0)
+        path = (math.nan, math.nan) if start is None else start.tolist()
+        _CALL(
+            _note, self.agents, k, *body.xz.tolist(), heading, *turned, *velocity, *path, bool(yields), bool(hindered)
+        )
 
     @property
     def standing(self) -> NDArray[np.bool_]:
@@ -122,7 +124,7 @@ class Onlookers(NamedTuple):
     @property
     def leaving(self) -> NDArray[np.bool_]:
         """Which of the agents step aside when they are asked, so that they take no place away, [A]."""
-        return self.agents["idle"] & self.agreed
+        return self.agents["yields"] & np.isnan(self.agents["start_x"]) & self.agreed
 
     @property
     def places(self) -> NDArray[np.float64]:
@@ -151,11 +153,12 @@ NO_ONLOOKERS = Onlookers.of(())
 
 
 @kernel(error_model="numpy")
-def _note(agents, k, x, z, heading, c, s, velocity_x, velocity_z, idle):
+def _note(agents, k, x, z, heading, c, s, velocity_x, velocity_z, start_x, start_z, yields, hindered):
     """Write what a turn changes of the agent in row ``k``."""
     row = agents[k]
     row["x"], row["z"], row["heading"], row["cos"], row["sin"] = x, z, heading, c, s
-    row["velocity_x"], row["velocity_z"], row["idle"] = velocity_x, velocity_z, idle
+    row["velocity_x"], row["velocity_z"], row["start_x"], row["start_z"] = velocity_x, velocity_z, start_x, start_z
+    row["yields"], row["hindered"] = yields, hindered
 
 
 @kernel(error_model="numpy")

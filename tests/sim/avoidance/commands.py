@@ -35,8 +35,7 @@ def onlookers(*others: Seen, first: int = 1) -> Onlookers:
     """The arrays of some agents, of which the first has the number ``first``."""
     found = Onlookers.of(others)
     for k, other in enumerate(others):
-        x, z = np.asarray(other.xz, np.float64).tolist()
-        found.note(k, x, z, other.heading, (float(other.velocity[0]), float(other.velocity[1])))
+        found.note(k, other, (float(other.velocity[0]), float(other.velocity[1])))
         found.agents["settled"][k], found.agents["number"][k] = other.settled, first + k
     return found
 
