@@ -35,10 +35,6 @@ from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 AnyActor = RobotActor | PersonActor
 _CALL = Entries()
 _STILL = AVOIDANCE.still_steps, AVOIDANCE.still_m
-_Stance = tuple[float, float, float, Any]
-SPARE_M = 0.3
-"""Distance beyond that of contact within which agents may go on without another test of their capsules [m]: a step of a robot
-is at most 8 cm and 5 degrees."""
 
 
 class GivingWay:
@@ -73,7 +69,8 @@ class GivingWay:
         """All agents as they were after their last turns, which the others observe."""
         self._people_see_robot, self._person_radius_m = people_see_robot, person_radius_m
         self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
-        self._heeded = np.array([[self.avoids(me, other) for other in actors] for me in actors])
+        heeded = np.array([[self.avoids(me, other) for other in actors] for me in actors])
+        self._around = [self.onlookers._replace(heeded=row, agreed=agreed) for row in heeded]
         for actor in actors:
             actor.company = self
         self.touching: list[tuple[int, int]] = []
@@ -95,10 +92,10 @@ class GivingWay:
             people = {k: clip_reach(body) for k, body in enumerate(self.bodies) if not isinstance(body, Robot)}
             self._reach_m = [min(people.get(k, reach), reach) for k, reach in enumerate(self._reach_m)]
         self._reaches = np.array(self._reach_m)
-        self._posed, self._gated = {}, {}
-        """Stances to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
-        self._clear: dict[tuple[int, int], tuple[_Stance, _Stance]] = {}
-        """Stances in which the capsules of a pair were last farther apart than they have to be by `SPARE_M`."""
+        self._posed: dict[int, tuple[float, float, float, Any]] = {}
+        """Place, heading and posture to which the shapes of agents were last moved."""
+        self._postures: list[Any] = [None] * len(actors)
+        """Postures to which the capsules around agents were last moved."""
         self.at: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * len(actors)
         """Place ``(x, z, heading)`` of each agent; for the agent whose turn it is, the place before that."""
         for actor in actors:
@@ -138,7 +135,8 @@ class GivingWay:
 
     def around(self, number: int) -> Onlookers:
         """Return all agents as others observe them, and which of them an agent gives way to."""
-        return self.onlookers._replace(heeded=self._heeded[number], agreed=self.agreed)
+        found = self._around[number]
+        return found if found.agreed == self.agreed else found._replace(agreed=self.agreed)
 
     def begin_turn(self, me: AnyActor) -> None:
         """Prepare an agent for its own step."""
@@ -210,47 +208,35 @@ class GivingWay:
     def _touch(self, a: int, b: int) -> bool:
         """Return whether two agents touch as they are now."""
         one, other = self.actors[a], self.actors[b]
-        now = _stance(one), _stance(other)
-        # stairs tilt and lift robots, which the bound does not know
-        if not (one.free.has_stairs or other.free.has_stairs) and self._stays_clear((a, b), now):
-            return False
-        self._gate(one, now[0])
-        self._gate(other, now[1])
         # capsules first, at a tenth of the cost of posing the shapes; they almost always decide
-        if not may_touch(self._capsules[a], self._capsules[b], SPARE_M):
-            self._clear[a, b] = now
+        if not may_touch(self._gated(one), _root(one), self._gated(other), _root(other)):
             return False
-        if not may_touch(self._capsules[a], self._capsules[b]):
-            return False
-        self._pose(one, now[0])
-        self._pose(other, now[1])
+        self._pose(one)
+        self._pose(other)
         return self._contacts.collides(a, b)
 
-    def _stays_clear(self, pair: tuple[int, int], now: tuple[_Stance, _Stance]) -> bool:
-        """Return whether two agents who were far enough apart have kept their postures, and have hardly moved since."""
-        before = self._clear.get(pair)
-        if before is None or not all(map(_is_same, before, now)):
-            return False
-        # no part of an agent is farther from its place than twice its half of the gate, which is 2 m or more
-        gone = (
-            math.hypot(at[0] - was[0], at[1] - was[1]) + 2 * self._reach_m[number] * abs(at[2] - was[2])
-            for number, was, at in zip(pair, before, now, strict=True)
-        )
-        return sum(gone) < SPARE_M
+    def _gated(self, actor: AnyActor) -> AgentCapsules:
+        """Return the capsules around an agent in its present posture."""
+        capsules, (was, now) = self._capsules[actor.number], (self._postures[actor.number], _posture(actor))
+        # whatever poses a person makes a new array
+        if was is not now and (not isinstance(now, bytes) or was != now):
+            self._postures[actor.number] = now
+            if isinstance(actor, RobotActor):
+                capsules.pose(actor.joints)
+            else:
+                capsules.pose(actor.person.quats, actor.person.pelvis)
+        return capsules
 
-    def _gate(self, actor: AnyActor, now: _Stance) -> None:
-        """Move the capsules around an agent to its present pose."""
-        if not _has_changed(actor.number, now, self._gated):
-            return
-        if isinstance(actor, RobotActor):
-            self._capsules[actor.number].pose(actor.pose, actor.joints)
-        else:
-            self._capsules[actor.number].pose(actor.person.base, actor.person.quats, actor.person.pelvis)
-
-    def _pose(self, actor: AnyActor, now: _Stance) -> None:
+    def _pose(self, actor: AnyActor) -> None:
         """Bring an agent's shapes to where recordings, which are float32, put them."""
-        if not _has_changed(actor.number, now, self._posed):
+        now, was = (*actor.xz.tolist(), actor.heading, _posture(actor)), self._posed.get(actor.number)
+        if (
+            was is not None
+            and was[:3] == now[:3]
+            and (was[3] is now[3] or (isinstance(now[3], bytes) and was[3] == now[3]))
+        ):
             return
+        self._posed[actor.number] = now
         body = self.bodies[actor.number]
         if isinstance(actor, RobotActor):
             posed = actor.robot.link_matrices(_stored(actor.pose)[None], _stored(actor.joints)[None])
@@ -260,25 +246,15 @@ class GivingWay:
         self._contacts.update(actor.number, shape_frames(body, posed)[0])
 
 
-def _stance(actor: AnyActor) -> _Stance:
-    """Return the place (x, z, heading) of an agent, and what tells its present posture from others."""
+def _posture(actor: AnyActor) -> Any:
+    """Return what tells the present posture of an agent from others, wherever it is."""
     # by value of robots, whose joints are changed in place; whatever poses a person makes a new array
-    posture = actor.joints.tobytes() if isinstance(actor, RobotActor) else actor.person.quats
-    return (*actor.xz.tolist(), actor.heading, posture)
+    return actor.joints.tobytes() if isinstance(actor, RobotActor) else actor.person.quats
 
 
-def _is_same(was: _Stance, now: _Stance) -> bool:
-    """Return whether two stances of one agent have the same posture, anywhere."""
-    return was[3] is now[3] or (isinstance(now[3], bytes) and was[3] == now[3])
-
-
-def _has_changed(number: int, now: _Stance, kept: dict[int, _Stance]) -> bool:
-    """Return whether an agent's stance differs from the one that is ``kept`` of it, and keep it."""
-    was = kept.get(number)
-    if was is not None and was[:3] == now[:3] and _is_same(was, now):
-        return False
-    kept[number] = now
-    return True
+def _root(actor: AnyActor) -> Array:
+    """Return the pose (pose7) of an agent root [7]."""
+    return actor.pose if isinstance(actor, RobotActor) else actor.person.base
 
 
 @kernel(error_model="numpy")

@@ -345,19 +345,22 @@ class Household(Team):
         controller = self.controllers[number]
         self.company.begin_turn(controller.actor)
         # a command lasts one step, so there is nothing to interrupt
-        policy = self.play.policies[number].policy
-        rests = self.play.step % getattr(policy, "interrupts_every", 1)
-        interrupts = None if controller.is_free or rests else getattr(policy, "interrupts", None)
-        if interrupts is None:
+        if controller.is_free:
+            return
+        policy, step = self.play.policies[number].policy, self.play.step
+        interrupts = getattr(policy, "interrupts", None)
+        if interrupts is None or step % getattr(policy, "interrupts_every", 1):
             return
         # most of the time nobody is close, and a view takes far longer than to find that out
-        needs_view = not getattr(policy, "interrupts_only_when_close", False)
+        needs_view, close = not getattr(policy, "interrupts_only_when_close", False), self._is_close(number)
+        if not close and not needs_view:
+            return
         k, held_by = controller.action.target, self.objects.held_by
         is_taken = 0 <= k < len(held_by) and held_by.item(k) not in (NOBODY, number)
-        glance = CloseView(controller.action, self._is_close(number), self.play.step, is_taken)
+        glance = CloseView(controller.action, close, step, is_taken)
         # what an agent knows that has not seen everything only a view tells
         may_interrupt = getattr(policy, "may_interrupt", None) if self.objects.sight is None else None
-        if not (glance.close or needs_view) or not (may_interrupt is None or may_interrupt(glance)):
+        if may_interrupt is not None and not may_interrupt(glance):
             return
         if reason := interrupts(self.play.view(number) if needs_view else glance):
             controller.interrupt(reason)
@@ -481,10 +484,10 @@ class Household(Team):
 
     def _is_close(self, agent: int) -> bool:
         """Return whether the nearest other agent is inside the ellipse in which skills may be interrupted."""
-        me, other, (a, b) = self.actors[agent], self.company.nearest(agent), self.episode.spec.near_m
+        other, (a, b) = self.company.nearest(agent), self.episode.spec.near_m
         if other < 0:
             return False
-        ahead, aside = _seen(me.xz, me.heading, self.actors[other].xz)
+        ahead, aside = _seen(*self.company.at[agent], *self.company.at[other][:2])
         return (ahead / a) ** 2 + (aside / b) ** 2 < 1
 
     def errand(self, number: int) -> TaskProgress:
@@ -673,9 +676,8 @@ def _reached(poses, goals, held_by, within, at_goal):
         at_goal[k] = held_by[k] == NOBODY and math.sqrt(dx * dx + dy * dy + dz * dz) < within
 
 
-def _seen(xz: NDArray, heading: float, other: NDArray) -> tuple[float, float]:
+def _seen(x: float, z: float, heading: float, other_x: float, other_z: float) -> tuple[float, float]:
     """Return another place in an agent's frame: ahead and to its right [m]."""
-    (x, z), (other_x, other_z) = xz.tolist(), other.tolist()
     dx, dz = other_x - x, other_z - z
     # forward is (c, -s) in (x, z), and the right-hand side (s, c)
     c, s = math.cos(heading), math.sin(heading)
