@@ -454,3 +454,40 @@ def test_robots_work_out_their_paths_only_where_somebody_may_have_to_step_aside(
     simulate_rearrange(rearrange_episode(home, seed=3, free=free), solo_steps=1)
     assert announced
     assert len(worked_out) < 0.5 * len(announced)
+
+
+def blocker_in_python(xz: np.ndarray, towards: np.ndarray, others: list[Seen]) -> int:
+    """`in_the_way`, agent after agent in plain Python."""
+    (leg_x, leg_z), found, nearest = (towards - xz).tolist(), -1, np.inf
+    length = float(np.hypot(leg_x, leg_z))
+    for k, other in enumerate(others):
+        moves = np.hypot(*other.velocity) > AVOIDANCE.stands_mps
+        for x, z, radius in discs_of(other):
+            gap_x, gap_z = x - xz[0], z - xz[1]
+            room = AVOIDANCE.person.radius_m + radius + AVOIDANCE.moving_m * moves
+            along, aside = (gap_x * leg_x + gap_z * leg_z) / length, abs(gap_x * leg_z - gap_z * leg_x) / length
+            distance = float(np.hypot(gap_x, gap_z))
+            nears = along > 0 and distance - aside > AVOIDANCE.beside_nearer_m
+            if nears and along < min(AVOIDANCE.ahead_m, length) + room and aside < room and distance < nearest:
+                found, nearest = k, distance
+    return found
+
+
+def test_the_kernel_finds_who_is_in_the_way() -> None:
+    rng, found = np.random.default_rng(2), set()
+    for _ in range(500):
+        others = [
+            seen(
+                rng.uniform(-2, 2, 2),
+                is_robot=bool(rng.random() < 0.5),
+                heading=float(rng.uniform(-3, 3)),
+                velocity=tuple((rng.uniform(-1, 1, 2) * (rng.random() < 0.5)).tolist()),
+            )
+            for _ in range(int(rng.integers(4)))
+        ]
+        xz, towards = rng.uniform(-0.5, 0.5, (2, 2))
+        found.add(in_the_way(xz, towards, onlookers(*others)))
+        assert in_the_way(xz, towards, onlookers(*others)) == blocker_in_python(xz, towards, others)
+        discs = onlookers(*others).discs(np.ones(len(others), np.bool_))
+        np.testing.assert_array_equal(discs, np.concatenate([np.zeros((0, 3)), *map(discs_of, others)]))
+    assert found == {-1, 0, 1, 2}
