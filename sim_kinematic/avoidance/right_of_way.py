@@ -128,7 +128,7 @@ class RightOfWay:
         self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)
         self._requests: dict[int, _Request] = {}
         self._marks = np.zeros(len(walkers), MARK)
-        """Where each agent last got on, and for how long it has not since."""
+        """Progress of each agent, `MARK` [A]."""
         for row, walker in zip(self._marks, walkers, strict=True):
             (row["x"], row["z"]), row["heading"] = walker.xz, walker.heading
             row["beside"], row["extent"] = self._beside_m[walker.number], self._extent_m[walker.number]

@@ -200,16 +200,9 @@ def discs_to_avoid(x, z, agents, offsets, heeded, held_by, agreed, reach, rules)
 
 def discs_of(body: Body) -> NDArray[np.float64]:
     """Return the discs ``(x, z, radius)`` [N, 3] of an agent's footprint in the world."""
-    return np.array(_discs_of(body))
-
-
-def _discs_of(body: Body) -> list[tuple[float, float, float]]:
-    """Return the same as `discs_of` in plain numbers, which loops over few agents read faster."""
     (x, z), (offsets, radius) = body.xz.tolist(), body.footprint
-    if len(offsets) == 1 and not offsets[0]:
-        return [(x, z, radius)]
-    c, s = float(np.cos(body.heading)), float(np.sin(body.heading))
-    return [(x + c * offset, z - s * offset, radius) for offset in offsets]
+    c, s = (float(np.cos(body.heading)), float(np.sin(body.heading))) if any(offsets) else (1.0, 0.0)
+    return np.array([(x + c * offset, z - s * offset, radius) for offset in offsets])
 
 
 def waits(number: int, others: Onlookers, k: int) -> bool:
