@@ -74,6 +74,7 @@ def play_of(episode: RearrangeEpisode, start: SkillStart, learned: Mapping[str, 
     robot = home.robots[0]
     robot.learned = learned
     robot.state.xz[0], robot.state.heading[0] = start.xz, start.heading
+    home.company.end_turn(robot.number)
     home.note_places()
     home.note_places()  # as it is now, and as it was a step ago
     home.objects.poses[:, :3] = start.objects

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from h3data.geometry import Array
+from sim_kinematic.avoidance.yielding import Onlookers
 
 
 class Company(Protocol):
@@ -18,6 +19,10 @@ class Company(Protocol):
     # untyped, because the modules of the actors import this one
     actors: Sequence[Any]
     bodies: list[Any]
+
+    def around(self, number: int) -> Onlookers:
+        """Return all agents as others observe them, and which of them an agent gives way to."""
+        ...
 
     def meets(self, me: Any) -> bool:
         """Return whether an agent touches another agent that it avoids and that it did not touch before."""

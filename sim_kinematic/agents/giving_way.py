@@ -24,7 +24,7 @@ from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.yielding import ObservedAgent
+from sim_kinematic.avoidance.yielding import Onlookers
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.body_capsules import AgentCapsules, may_touch
 from sim_kinematic.contact.clearance import clip_reach, robot_span
@@ -35,10 +35,6 @@ from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
 AnyActor = RobotActor | PersonActor
 _CALL = Entries()
 _STILL = AVOIDANCE.still_steps, AVOIDANCE.still_m
-_Stance = tuple[float, float, float, Any]
-SPARE_M = 0.3
-"""Distance beyond that of contact within which agents may go on without another test of their capsules [m]: a step of a robot
-is at most 8 cm and 5 degrees."""
 
 
 class GivingWay:
@@ -69,7 +65,12 @@ class GivingWay:
             in_clips: whether people only move as in their motion clips, so that their hands stay near.
         """
         self.actors, self.right_of_way, self.agreed, self.solid = actors, right_of_way, agreed, solid
+        self.onlookers = Onlookers.of(actors)
+        """All agents as they were after their last turns, which the others observe."""
         self._people_see_robot, self._person_radius_m = people_see_robot, person_radius_m
+        self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
+        heeded = np.array([[self.avoids(me, other) for other in actors] for me in actors])
+        self._around = [self.onlookers._replace(heeded=row, agreed=agreed) for row in heeded]
         for actor in actors:
             actor.company = self
         self.touching: list[tuple[int, int]] = []
@@ -81,7 +82,6 @@ class GivingWay:
         for track, actor in zip(self._places, actors, strict=True):
             track[0] = actor.xz
         self._pairs = list(combinations(range(len(actors)), 2))
-        self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
         self.bodies = [agent.body for agent in roster]
         self._capsules = [AgentCapsules(body) for body in self.bodies]
         # the gate allows for `quad_arm`; each agent has half of it, and a longer robot what it is longer
@@ -91,17 +91,15 @@ class GivingWay:
         if in_clips:
             people = {k: clip_reach(body) for k, body in enumerate(self.bodies) if not isinstance(body, Robot)}
             self._reach_m = [min(people.get(k, reach), reach) for k, reach in enumerate(self._reach_m)]
-        self._posed, self._gated = {}, {}
-        """Stances to which the shapes of agents, and the capsules around them, were last moved (`_has_changed`)."""
-        self._clear: dict[tuple[int, int], tuple[_Stance, _Stance]] = {}
-        """Stances in which the capsules of a pair were last farther apart than they have to be by `SPARE_M`."""
-        self._acted: set[int] = set()
-        """Agents that have acted in this step."""
-        self._at: list[list[float]] = [actor.xz.tolist() for actor in actors]
-        """Place (x, z) of each agent; for the agent whose turn it is, the place before that."""
-        self._seen: dict[int, ObservedAgent] = {}
-        """Agents as others see them, computed for agents that others have observed since their last action."""
-        self._settled = np.zeros(len(actors), np.bool_)
+        self._reaches = np.array(self._reach_m)
+        self._posed: dict[int, tuple[float, float, float, Any]] = {}
+        """Place, heading and posture to which the shapes of agents were last moved."""
+        self._postures: list[Any] = [None] * len(actors)
+        """Postures to which the capsules around agents were last moved."""
+        self.at: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * len(actors)
+        """Place ``(x, z, heading)`` of each agent; for the agent whose turn it is, the place before that."""
+        for actor in actors:
+            self.end_turn(actor.number)
 
     @cached_property
     def _contacts(self) -> AgentContacts:
@@ -133,39 +131,24 @@ class GivingWay:
     def begin_step(self, carrying: Sequence[int] = ()) -> None:
         """Decide which agents step aside in the next step; ``carrying`` are the numbers of those with an object."""
         if self.right_of_way is not None:
-            self.right_of_way.update(carrying)
+            self.right_of_way.update(carrying, self.onlookers.agents)
+
+    def around(self, number: int) -> Onlookers:
+        """Return all agents as others observe them, and which of them an agent gives way to."""
+        found = self._around[number]
+        return found if found.agreed == self.agreed else found._replace(agreed=self.agreed)
 
     def begin_turn(self, me: AnyActor) -> None:
-        """Update an agent's view of the others and their motion before its own step."""
-        seen, me.hindered_by = [self._observed(other) for other in self._avoided[me.number]], frozenset()
-        if len(seen) > 1:
-            # stable: agents at the same distance keep the order of their numbers on every machine
-            gaps = np.array([other.xz for other in seen]) - me.xz
-            seen = [seen[k] for k in np.hypot(*gaps.T).argsort(kind="stable").tolist()]
-        me.others = tuple(seen)
-
-    def _observed(self, other: AnyActor) -> ObservedAgent:
-        """Return what all see of an agent, which only its own turn changes."""
-        number, count = other.number, self._moments
-        if number not in self._seen:
-            track, is_robot, moved = self._places[number], other.is_robot, number in self._acted
-            # a copy, because a robot's place is a view that its next step changes
-            now = other.xz.copy() if moved else track[count - 1]
-            # who has moved in this step is one row ahead of the track: the interval is as long either way
-            first = max(count - AVOIDANCE.velocity_steps - (not moved), 0)
-            velocity = (now - track[first]) / (STEP_S * max(count - first - (not moved), 1))
-            steps_aside = self.agreed and other.yields and other.path_start is None
-            settled, heading, footprint = bool(self._settled[number]), other.heading, other.footprint
-            self._seen[number] = ObservedAgent(
-                number, now, velocity, settled, is_robot, heading, steps_aside, footprint
-            )
-        return self._seen[number]
+        """Prepare an agent for its own step."""
+        me.hindered_by = frozenset()
 
     def end_turn(self, number: int) -> None:
-        """Note that an agent has acted and has moved."""
-        self._acted.add(number)
-        self._seen.pop(number, None)
-        self._at[number] = self.actors[number].xz.tolist()
+        """Note where an agent is after its turn, which is what the others observe of it until its next one."""
+        actor, first = self.actors[number], max(self._moments - AVOIDANCE.velocity_steps, 0)
+        (x, z), (was_x, was_z) = actor.xz.tolist(), self._places[number, first].tolist()
+        self.at[number], seconds = (x, z, actor.heading), STEP_S * max(self._moments - first, 1)
+        velocity, flags = ((x - was_x) / seconds, (z - was_z) / seconds), (actor.yields, bool(actor.hindered_by))
+        self.onlookers.note(number, actor, velocity, actor.path_start, yields=flags[0], hindered=flags[1])
 
     def meets(self, me: AnyActor) -> bool:
         """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
@@ -212,60 +195,48 @@ class GivingWay:
         if self._moments == self._places.shape[1]:
             self._places = np.concatenate([self._places, np.empty_like(self._places)], axis=1)
         self._moments += 1
-        self._acted.clear()
-        self._seen.clear()
-        self._at = [actor.xz.tolist() for actor in self.actors]
-        _CALL(_note, self._places, self._moments, np.array(self._at), self._settled, *_STILL)
-        self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self._at[a], b) and self._touch(a, b)]
+        near = _CALL(_note, self._places, self._moments, self.onlookers.agents, self._reaches, *_STILL)
+        self.touching = []
+        if near:
+            self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self.at[a], b) and self._touch(a, b)]
 
-    def _is_near(self, a: int, here: list[float], b: int) -> bool:
+    def _is_near(self, a: int, here: Sequence[float], b: int) -> bool:
         """Return whether an agent at (x, z) could touch another with their arms stretched out."""
-        return math.dist(here, self._at[b]) <= self._reach_m[a] + self._reach_m[b]
+        there = self.at[b]
+        return math.hypot(here[0] - there[0], here[1] - there[1]) <= self._reach_m[a] + self._reach_m[b]
 
     def _touch(self, a: int, b: int) -> bool:
         """Return whether two agents touch as they are now."""
         one, other = self.actors[a], self.actors[b]
-        now = _stance(one), _stance(other)
-        # stairs tilt and lift robots, which the bound does not know
-        if not (one.free.has_stairs or other.free.has_stairs) and self._stays_clear((a, b), now):
-            return False
-        self._gate(one, now[0])
-        self._gate(other, now[1])
         # capsules first, at a tenth of the cost of posing the shapes; they almost always decide
-        if not may_touch(self._capsules[a], self._capsules[b], SPARE_M):
-            self._clear[a, b] = now
+        if not may_touch(self._gated(one), _root(one), self._gated(other), _root(other)):
             return False
-        if not may_touch(self._capsules[a], self._capsules[b]):
-            return False
-        self._pose(one, now[0])
-        self._pose(other, now[1])
+        self._pose(one)
+        self._pose(other)
         return self._contacts.collides(a, b)
 
-    def _stays_clear(self, pair: tuple[int, int], now: tuple[_Stance, _Stance]) -> bool:
-        """Return whether two agents who were far enough apart have kept their postures, and have hardly moved since."""
-        before = self._clear.get(pair)
-        if before is None or not all(map(_is_same, before, now)):
-            return False
-        # no part of an agent is farther from its place than twice its half of the gate, which is 2 m or more
-        gone = (
-            math.hypot(at[0] - was[0], at[1] - was[1]) + 2 * self._reach_m[number] * abs(at[2] - was[2])
-            for number, was, at in zip(pair, before, now, strict=True)
-        )
-        return sum(gone) < SPARE_M
+    def _gated(self, actor: AnyActor) -> AgentCapsules:
+        """Return the capsules around an agent in its present posture."""
+        capsules, (was, now) = self._capsules[actor.number], (self._postures[actor.number], _posture(actor))
+        # whatever poses a person makes a new array
+        if was is not now and (not isinstance(now, bytes) or was != now):
+            self._postures[actor.number] = now
+            if isinstance(actor, RobotActor):
+                capsules.pose(actor.joints)
+            else:
+                capsules.pose(actor.person.quats, actor.person.pelvis)
+        return capsules
 
-    def _gate(self, actor: AnyActor, now: _Stance) -> None:
-        """Move the capsules around an agent to its present pose."""
-        if not _has_changed(actor.number, now, self._gated):
-            return
-        if isinstance(actor, RobotActor):
-            self._capsules[actor.number].pose(actor.pose, actor.joints)
-        else:
-            self._capsules[actor.number].pose(actor.person.base, actor.person.quats, actor.person.pelvis)
-
-    def _pose(self, actor: AnyActor, now: _Stance) -> None:
+    def _pose(self, actor: AnyActor) -> None:
         """Bring an agent's shapes to where recordings, which are float32, put them."""
-        if not _has_changed(actor.number, now, self._posed):
+        now, was = (*actor.xz.tolist(), actor.heading, _posture(actor)), self._posed.get(actor.number)
+        if (
+            was is not None
+            and was[:3] == now[:3]
+            and (was[3] is now[3] or (isinstance(now[3], bytes) and was[3] == now[3]))
+        ):
             return
+        self._posed[actor.number] = now
         body = self.bodies[actor.number]
         if isinstance(actor, RobotActor):
             posed = actor.robot.link_matrices(_stored(actor.pose)[None], _stored(actor.joints)[None])
@@ -275,40 +246,40 @@ class GivingWay:
         self._contacts.update(actor.number, shape_frames(body, posed)[0])
 
 
-def _stance(actor: AnyActor) -> _Stance:
-    """Return the place (x, z, heading) of an agent, and what tells its present posture from others."""
+def _posture(actor: AnyActor) -> Any:
+    """Return what tells the present posture of an agent from others, wherever it is."""
     # by value of robots, whose joints are changed in place; whatever poses a person makes a new array
-    posture = actor.joints.tobytes() if isinstance(actor, RobotActor) else actor.person.quats
-    return (*actor.xz.tolist(), actor.heading, posture)
+    return actor.joints.tobytes() if isinstance(actor, RobotActor) else actor.person.quats
 
 
-def _is_same(was: _Stance, now: _Stance) -> bool:
-    """Return whether two stances of one agent have the same posture, anywhere."""
-    return was[3] is now[3] or (isinstance(now[3], bytes) and was[3] == now[3])
-
-
-def _has_changed(number: int, now: _Stance, kept: dict[int, _Stance]) -> bool:
-    """Return whether an agent's stance differs from the one that is ``kept`` of it, and keep it."""
-    was = kept.get(number)
-    if was is not None and was[:3] == now[:3] and _is_same(was, now):
-        return False
-    kept[number] = now
-    return True
+def _root(actor: AnyActor) -> Array:
+    """Return the pose (pose7) of an agent root [7]."""
+    return actor.pose if isinstance(actor, RobotActor) else actor.person.base
 
 
 @kernel(error_model="numpy")
-def _note(places, moments, at, settled, count, still):
-    """Add where agents are [N, 2] to their tracks [N, T, 2], and notes which have been standing for ``count`` steps."""
-    for n in range(len(at)):
-        settled[n] = moments >= count
+def _note(places, moments, agents, reach, count, still):
+    """Add where agents [N] are to their tracks [N, T, 2], and note which have been standing for ``count`` steps.
+
+    Returns whether two of them are within the sum of their ``reach`` [N] [m].
+    """
+    near = False
+    for n in range(len(agents)):
+        settled = moments >= count
+        places[n, moments - 1, 0], places[n, moments - 1, 1] = agents[n]["x"], agents[n]["z"]
         for axis in range(2):
-            low = high = places[n, moments - 1, axis] = at[n, axis]
+            low = high = places[n, moments - 1, axis]
             # the oldest first: of who moves, it is the farthest away
             for t in range(max(moments - count, 0), moments):
                 low, high = min(low, places[n, t, axis]), max(high, places[n, t, axis])
-                if not settled[n] or high - low >= still:
-                    settled[n] = False
+                if not settled or high - low >= still:
+                    settled = False
                     break
+        agents[n]["settled"] = settled
+        for other in range(n):
+            gap_x, gap_z = agents[other]["x"] - agents[n]["x"], agents[other]["z"] - agents[n]["z"]
+            near |= math.hypot(gap_x, gap_z) <= reach[n] + reach[other]
+    return near
 
 
 def _stored(values: Array) -> NDArray[np.float64]:

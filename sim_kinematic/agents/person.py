@@ -213,6 +213,8 @@ class Person:
         """Bend of the fingers of the left and the right hand, and turn of head and eyes beyond the motion's
         (`h3data.bodies.people.kernels.attention`) [rad]."""
         self._to_turn = 0.0
+        self._room: tuple[float, ...] | None = None
+        """Constants by which the arms fold (`arm_room`), found at their first use."""
         self._closing: dict[Hand, float] = {}
         self._carry_points: dict[Hand, Array] = {}
         self._carry_arms: dict[Hand, Array] = {}
@@ -542,7 +544,31 @@ class Person:
         if gait is not None:
             self.base = self.root_at(gait)
         quats, pelvis = self.walk.stride(self.base, self.heading)
-        self.show("walk", self.with_arms(quats), pelvis)
+        if self._is_bare:
+            # in place, as nobody else has the new arrays
+            self._draw_in(quats)
+            self.quats, self.pelvis, self.bare = quats, pelvis, quats
+        else:
+            self.show("walk", self.with_arms(quats), pelvis)
+
+    @property
+    def _is_bare(self) -> bool:
+        """Return whether the pose of walking is shown as it is: nothing is blended, held, looked at or led."""
+        kind, blended, *_ = self.transition
+        if kind != "walk" or blended is not None or self.held or self._closing or self.look_at is not None:
+            return False
+        extra = *self._close.values(), *self.curl.tolist(), *self.gaze.tolist()
+        return self.led is None and not any(extra)
+
+    def _draw_in(self, quats: Array, moving: Hand | None = None) -> None:
+        """Fold the arms of a pose [55, 4] in place by one step where there is little room, except a ``moving`` one."""
+        if self.free is None or self.spec.arms is None:
+            return
+        if self._room is None:
+            self._room = arm_room(self.body, self.spec.arms)
+        free, drawn = self.free, self._drawn
+        where = free.sdf, free.origin, free.cell_m, drawn.xz, drawn.heading, drawn.arms
+        free.entries(draw_in_planted, *where, HANDS.index(moving) if moving else -1, self._room, quats[None])
 
     def root_at(self, gait: HumanState) -> Array:
         """Return the pose (pose7) of the agent root at the place and heading of ``gait`` (one world), on the floor."""
@@ -627,10 +653,9 @@ class Person:
         room.
         """
         quats = quats.copy()
+        self._draw_in(quats, moving)
         if self.free is not None and self.spec.arms is not None:
-            drawn, room, rate = self._drawn, arm_room(self.body, self.spec.arms), self.spec.arms.rate
-            where = self.free.sdf, self.free.origin, self.free.cell_m, drawn.xz, drawn.heading, drawn.arms
-            self.free.entries(draw_in_planted, *where, HANDS.index(moving) if moving else -1, room, quats[None])
+            rate = self.spec.arms.rate
             # an emptied hand goes back to 0 at the same rate, so that the next thing does not begin close
             for hand, close in self._close.items():
                 if close or hand in self.held:

@@ -25,7 +25,16 @@ from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, SEARCH, Action, Obj
 from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, crowds, in_the_way, path_around, shut_off, waits
+from sim_kinematic.avoidance.yielding import (
+    NO_ONLOOKERS,
+    NO_PATH,
+    Onlookers,
+    crowds,
+    in_the_way,
+    path_around,
+    shut_off,
+    waits,
+)
 from sim_kinematic.motion.gait import move_people, walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
@@ -64,7 +73,7 @@ class _Posture(NamedTuple):
 class PersonActor:
     """Person with skills, who uses the right hand, or the left one where the right one does not reach.
 
-    The person gives way to the agents in ``others``. It is empty for a person alone with one robot, as people in
+    The person gives way to the heeded agents of ``others``. There are none for a person alone with one robot, as people in
     Habitat do not give way to robots.
     """
 
@@ -76,8 +85,6 @@ class PersonActor:
     """Index of the agent."""
     room: BodyClearance | None = None
     """Test of the room for the body; None: no test is made."""
-    others: tuple[ObservedAgent, ...] = ()
-    """Other agents to which the person gives way, the nearest first."""
     company: Company | None = None
     """Agents to which the person gives way, with access by number; None: the person is alone."""
     yields: bool = True
@@ -99,6 +106,11 @@ class PersonActor:
         """Steps since the last one that was not stopped by others."""
         self._goes_around = False
         """True after the person was turned away: they take paths around people who stand until they make progress."""
+
+    @property
+    def others(self) -> Onlookers:
+        """Agents of the world, and to which of them the person gives way."""
+        return NO_ONLOOKERS if self.company is None else self.company.around(self.number)
 
     def meets(self) -> bool:
         """Return whether the person touches an agent now, in which case both stay where they were."""
@@ -354,11 +366,11 @@ class PersonActor:
                 continue
             blocker = in_the_way(self.xz, path[k], self.others)
             # in the first step of waiting and every tenth: each look floods the floor around all who stand
-            if blocker is not None and not waits(self.number, blocker) and waited % 10 == 0:
+            if blocker >= 0 and waited % 10 == 0 and not waits(self.number, self.others, blocker):
                 detour = path_around(self.free, self.xz, goal, self.others)
-                path, k, blocker = (path, k, blocker) if detour is None else (detour, 0, None)
-            waited = 0 if blocker is None else waited + 1
-            self._pace(path[k] if blocker is None else None)
+                path, k, blocker = (path, k, blocker) if detour is None else (detour, 0, -1)
+            waited = 0 if blocker < 0 else waited + 1
+            self._pace(path[k] if blocker < 0 else None)
             yield
             there = np.hypot(*(path[k] - self.xz)) <= self.spec.arrive_m
             # the last point counts once they have come to a stand there
@@ -392,13 +404,13 @@ class PersonActor:
                 yield
                 continue
             blocker = in_the_way(self.xz, strider.target, self.others)
-            if blocker is not None and not waits(self.number, blocker) and waited % 10 == 0:
+            if blocker >= 0 and waited % 10 == 0 and not waits(self.number, self.others, blocker):
                 detour = path_around(self.free, self.xz, goal, self.others)
                 if detour is not None:
                     strider.begin(np.vstack([self.xz[None], detour]), facing=facing)
-                    blocker = None
-            waited = 0 if blocker is None else waited + 1
-            self._stride(strider, goes=blocker is None)
+                    blocker = -1
+            waited = 0 if blocker < 0 else waited + 1
+            self._stride(strider, goes=blocker < 0)
             yield
         return waited
 
@@ -434,7 +446,7 @@ class PersonActor:
             towards = self.free.first_leg(self.xz, self.aside[0], beyond_m=ASIDE_LEG_M, max_snap_m=1.0)[1]
             if self._backs_out() or self._shuffles(towards):
                 return
-            if np.isnan(towards[0]) or in_the_way(self.xz, towards, self.others) is not None:
+            if np.isnan(towards[0]) or in_the_way(self.xz, towards, self.others) >= 0:
                 self._pace(None)
             else:
                 self._go_aside(towards)

@@ -14,20 +14,38 @@ them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise, product
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import wrap_angle
+from h3data.kernels import kernel
+from h3data.kernels.entries import Entries
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_of_paths, distance_to_path, first_of_path, is_ahead
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
-from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
+from sim_kinematic.avoidance.yielding import NO_PATH, Body, Onlookers, discs_of
+
+_CALL = Entries()
+MARK = np.dtype(
+    [(name, "f8") for name in ("x", "z", "heading", "beside", "extent")]
+    + [(name, "i8") for name in ("stalled", "still")]
+)
+"""Type of an agent's progress: place [m] and heading [rad] where it last got on, distance from its path within which it is
+blocked and extent of its footprint [m], and steps without progress: while it has a path, and at all."""
+_COUNTS = (
+    AVOIDANCE.progress_m,
+    AVOIDANCE.progress_rad,
+    AVOIDANCE.held_up_steps,
+    AVOIDANCE.stand_off_m,
+    AVOIDANCE.asks_moving_m,
+    AVOIDANCE.asks_idle_m,
+)
+"""Constants of `count_step`."""
 
 
 class Walker(Body, Protocol):
@@ -107,43 +125,45 @@ class RightOfWay:
         self._beside_m = {w.number: AVOIDANCE.beside_m[w.is_robot] + _size_beyond_default(w) for w in walkers}
         """Distance from an agent's path within which another agent blocks it [m]."""
         self._extent_m = {walker.number: walker.footprint.extent_m for walker in walkers}
-        self._pairs = [(other, me) for me in walkers for other in walkers if other is not me]
         self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)
         self._requests: dict[int, _Request] = {}
-        self._stalled = dict.fromkeys(self._walkers, 0)
-        self._still = dict.fromkeys(self._walkers, 0)
-        self._place = {number: _place(walker) for number, walker in self._walkers.items()}
+        self._marks = np.zeros(len(walkers), MARK)
+        """Progress of each agent, `MARK` [A]."""
+        for row, walker in zip(self._marks, walkers, strict=True):
+            (row["x"], row["z"]), row["heading"] = walker.xz, walker.heading
+            row["beside"], row["extent"] = self._beside_m[walker.number], self._extent_m[walker.number]
+        self._row = {number: row for row, number in enumerate(numbers)}
+        """Row of each agent in ``_marks``, by number."""
 
     def walk_on(self, free: FreeSpace) -> None:
         """Use another floor from now on, because a door or a drawer has moved."""
         self._free, self._routes = free, FloorRoutes.of(free)
 
-    def update(self, carrying: Sequence[int] = ()) -> None:
-        """Set ``aside`` of every agent, given the numbers of the agents that hold something (``carrying``)."""
-        starts: dict[int, list[float] | None] = {}
-        for number, walker in self._walkers.items():
-            place = x, z, heading = _place(walker)
-            was_x, was_z, was_heading = self._place[number]
-            start = starts[number] = self._start(walker)
-            # measured from where it last got on, not from step to step: an agent that sways on the spot makes no progress
-            gone = math.hypot(x - was_x, z - was_z)
-            if gone > AVOIDANCE.progress_m or abs(wrap_angle(heading - was_heading)) > AVOIDANCE.progress_rad:
-                self._stalled[number] = self._still[number] = 0
-                self._place[number] = place
-            self._still[number] += 1
-            self._stalled[number] = self._stalled[number] + 1 if start is not None or walker.hindered_by else 0
-            if number in self._requests:
-                self._requests[number].advance(walker)
+    def update(self, carrying: Sequence[int] = (), agents: NDArray[Any] | None = None) -> None:
+        """Set ``aside`` of every agent.
+
+        Args:
+            carrying: numbers of the agents that hold something.
+            agents: present state of the agents, `AGENT` [A], in the order of the walkers; None: the walkers are looked at.
+        """
+        agents = self._looked() if agents is None else agents
+        if self._requests:
+            agents = agents.copy()
+            for number, request in self._requests.items():
+                row, start = agents[self._row[number]], (math.nan, math.nan)
+                row["start_x"], row["start_z"] = (row["x"], row["z"]) if len(request.route) else start
+        may_block, near = _CALL(count_step, agents, self._marks, _COUNTS)
+        for number, request in self._requests.items():
+            request.advance(self._walkers[number])
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
-            request = self._requests.pop(number)
-            starts[number] = self._start(self._walkers[number])
+            request, may_block = self._requests.pop(number), True
             if request.chose_at is not None and self._stand_offs is not None:
                 self._stand_offs.of(number, request.by).steps = 0  # time to get past
         if self._stand_offs is not None:
-            for pair in self._stand_offs.update(self._is_held_off):
+            for pair in self._stand_offs.update(self._is_held_off, near=near):
                 self._part(self._stand_offs, pair, carrying)
         # the usual case ends here: ranks and paths cost far more than the distances that rule them out
-        if not self._requests and (not self._asks or self._all_are_clear(starts)):
+        if not self._requests and not (self._asks and may_block):
             for walker in self._walkers.values():
                 walker.aside = None
             return
@@ -159,12 +179,26 @@ class RightOfWay:
         for number, walker in self._walkers.items():
             walker.aside = self._requests[number].route if number in self._requests else None
 
-    def _all_are_clear(self, starts: Mapping[int, list[float] | None]) -> bool:
-        """Return whether no agent can be asked to step aside in this step.
+    def _looked(self) -> NDArray[Any]:
+        """Return the present state of the agents, `AGENT` [A]."""
+        walkers = list(self._walkers.values())
+        found = Onlookers.of(walkers)
+        for k, walker in enumerate(walkers):
+            found.note(k, walker, start=walker.path_start, yields=walker.yields, hindered=bool(walker.hindered_by))
+        return found.agents
 
-        In homes for two agents this is the case in nine steps of ten.
-        """
-        return not any(self._may_block(other, me, starts) for other, me in self._pairs)
+    def _stalled(self, number: int) -> int:
+        """Return the number of steps for which an agent with a path has made no progress."""
+        return self._marks["stalled"].item(self._row[number])
+
+    def _still(self, number: int) -> int:
+        """Return the number of steps for which an agent has made no progress, with a path or without."""
+        return self._marks["still"].item(self._row[number])
+
+    def _place(self, number: int) -> tuple[float, float, float]:
+        """Return the place and heading ``(x, z, heading)`` where an agent last got on."""
+        mark = self._marks[self._row[number]]
+        return float(mark["x"]), float(mark["z"]), float(mark["heading"])
 
     # --- rank ----------------------------------------------------------------------------------------------------------
     def _ranked(self, carrying: Sequence[int]) -> list[Walker]:
@@ -215,31 +249,19 @@ class RightOfWay:
         start = walker.path_start
         return None if start is None else start.tolist()
 
-    def _may_block(self, other: Walker, me: Walker, starts: Mapping[int, list[float] | None]) -> bool:
-        """Return whether an agent could have to step aside for this one: a cheap upper bound of `_blocks`.
-
-        ``starts`` are the first points of the paths of both.
-        """
-        held_up = self._stalled[me.number] >= AVOIDANCE.held_up_steps
-        if not other.yields:
-            return False
-        if other.number in me.hindered_by and held_up:
-            return True
-        start, moves = starts[me.number], starts[other.number] is not None
-        if start is None or (moves and not held_up):
-            return False
-        # plain numbers: this runs for every pair in every step, and arrays of two numbers cost more than the sums
-        (x, z), (other_x, other_z) = start, other.xz.tolist()
-        reach = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
-        reach += self._beside_m[me.number] + self._extent_m[other.number]
-        return math.hypot(other_x - x, other_z - z) <= reach
-
     def _blocks(self, other: Walker, me: Walker) -> bool:
         """Return whether an agent should step aside for me."""
-        if not self._may_block(other, me, {walker.number: self._start(walker) for walker in (other, me)}):
-            return False
-        if other.number in me.hindered_by and self._stalled[me.number] >= AVOIDANCE.held_up_steps:
+        held_up, start, theirs = (
+            self._stalled(me.number) >= AVOIDANCE.held_up_steps,
+            self._start(me),
+            self._start(other),
+        )
+        if other.yields and held_up and other.number in me.hindered_by:
             return True
+        (x, z), moves = (math.nan, math.nan) if start is None else start, theirs is not None
+        marks = self._beside_m[me.number], self._extent_m[other.number]
+        if not is_close(x, z, *other.xz.tolist(), moves, other.yields, held_up, *marks, *_COUNTS[-2:]):
+            return False
         ahead_m = AVOIDANCE.asks_moving_m if len(self.path(other)) else AVOIDANCE.asks_idle_m
         # an agent that is nearer to me than to the path ahead of me is behind or beside me, and clear as I go on
         path = np.ascontiguousarray(self.path(me), np.float64)
@@ -254,7 +276,7 @@ class RightOfWay:
         # it is on its way to a refuge: another request would send it back and forth between two places
         if before is not None and before.stays_steps:
             return True
-        if before is not None and len(before.route) and self._stalled[other.number] < 3 * AVOIDANCE.held_up_steps:
+        if before is not None and len(before.route) and self._stalled(other.number) < 3 * AVOIDANCE.held_up_steps:
             # its place is kept while that clears my path: the best place is another one in each step, and it
             # would waver
             end = before.route[-1]
@@ -284,7 +306,7 @@ class RightOfWay:
         self._requests[other.number] = _Request(other.number, leaves)
         self._requests[me.number] = _Request(other.number, back)
         # both have new goals: the one that was held up would otherwise give up before it has made a step
-        self._stalled[me.number] = self._stalled[other.number] = 0
+        self._marks["stalled"][[self._row[me.number], self._row[other.number]]] = 0
         return True
 
     # --- stand-offs ----------------------------------------------------------------------------------------------------
@@ -308,10 +330,10 @@ class RightOfWay:
             if lets_out is not None and lets_out.by != number:
                 del self._requests[other.number]
             stays = AVOIDANCE.waits_steps if waits else math.inf if driven else AVOIDANCE.refuge_steps
-            me.turned_away, where = driven, self._place[other.number] if driven else None
+            me.turned_away, where = driven, self._place(other.number) if driven else None
             seen = other.xz.copy()
             self._requests[number] = _Request(other.number, route, stays_steps=stays, chose_at=where, seen=seen)
-            self._stalled[number] = self._stalled[other.number] = encounter.steps = 0
+            self._marks["stalled"][[self._row[n] for n in pair]] = encounter.steps = 0
             encounter.rounds, encounter.waited = encounter.rounds + 1, driven
             return
 
@@ -327,9 +349,9 @@ class RightOfWay:
         request = self._requests.get(number)
         if request is not None and request.stays_steps:
             return False
-        if self._stalled[number] > AVOIDANCE.held_off_steps:
+        if self._stalled(number) > AVOIDANCE.held_off_steps:
             return True
-        still, me = self._still[other] - AVOIDANCE.held_up_steps, self._walkers[number]
+        still, me = self._still(other) - AVOIDANCE.held_up_steps, self._walkers[number]
         looks = still > 0 and still % AVOIDANCE.looks_steps == 0 and me.yields and len(me.path) > 0
         return looks and not self._gets_around(me, self._walkers[other], AVOIDANCE.passing_m[-1])
 
@@ -377,13 +399,13 @@ class RightOfWay:
                 return True  # follow somebody who leaves
             self._go_farther(walker, other, request)
             stops = (
-                self._still[other.number] > AVOIDANCE.held_up_steps and self._place[other.number] != request.chose_at
+                self._still(other.number) > AVOIDANCE.held_up_steps and self._place(other.number) != request.chose_at
             )
             # only in the refuge: on the way there it would stop whenever somebody who follows it stops
             if stops and not len(request.route):
-                walker.turned_away, request.chose_at = True, self._place[other.number]
+                walker.turned_away, request.chose_at = True, self._place(other.number)
         if len(request.route):
-            return self._stalled[walker.number] > 2 * AVOIDANCE.gives_up_steps
+            return self._stalled(walker.number) > 2 * AVOIDANCE.gives_up_steps
         request.stayed += 1
         return request.stayed > request.stays_steps or (obeys and self._is_past(walker, other))
 
@@ -429,7 +451,7 @@ class RightOfWay:
             return self._leaves_refuge(walker, request)
         if request.steps > AVOIDANCE.lasts_steps:
             return True
-        if len(request.route) and self._stalled[walker.number] > AVOIDANCE.gives_up_steps:
+        if len(request.route) and self._stalled(walker.number) > AVOIDANCE.gives_up_steps:
             return True
         if request.by == walker.number:
             return not len(request.route)
@@ -496,7 +518,49 @@ def _size_beyond_default(body: Body) -> float:
     return body.footprint.extent_m - AVOIDANCE.robot.extent_m if body.is_robot else 0.0
 
 
-def _place(walker: Walker) -> tuple[float, float, float]:
-    """Return ``(x, z, heading)`` of an agent in Python's floats, which compare faster than arrays."""
-    x, z = walker.xz.tolist()
-    return x, z, float(walker.heading)
+@kernel(error_model="numpy")
+def is_close(x, z, other_x, other_z, moves, yields, held_up, beside, extent, moving_m, idle_m):
+    """Return whether an agent could have to step aside for one whose path begins at (x, z), a cheap bound of `_blocks`."""
+    # without a path (x, z) is NaN, and nothing is near it
+    reach = (moving_m if moves else idle_m) + beside + extent
+    return yields and (held_up or not moves) and math.hypot(other_x - x, other_z - z) <= reach
+
+
+@kernel(error_model="numpy")
+def count_step(agents, marks, rules):
+    """Count a step of all agents, and return whether one may block another, and whether two are near each other.
+
+    Args:
+        agents: agents before the step, `AGENT` [A].
+        marks: `MARK` [A], which is changed in place.
+        rules: movement [m] and turn [rad] above which an agent gets on, steps after which it is held up, distance of
+            stand-offs [m], and distances [m] within which agents that move, and idle ones, may be asked to step aside.
+    """
+    progress_m, progress_rad, held_up_steps, stand_off_m, moving_m, idle_m = rules
+    for n in range(len(agents)):
+        mark, agent = marks[n], agents[n]
+        x, z, heading = agent["x"], agent["z"], agent["heading"]
+        # measured from where it last got on, not from step to step: an agent that sways on the spot makes no progress
+        gone = math.hypot(x - mark["x"], z - mark["z"])
+        # as `h3data.geometry.wrap_angle`, in any bit: ten steps of a person's turn are as much as the limit
+        turned = (heading - mark["heading"] + math.pi) % (2 * math.pi) - math.pi
+        if gone > progress_m or abs(turned) > progress_rad:
+            mark["stalled"] = mark["still"] = 0
+            mark["x"], mark["z"], mark["heading"] = x, z, heading
+        mark["still"] += 1
+        mark["stalled"] = mark["stalled"] + 1 if not math.isnan(agent["start_x"]) or agent["hindered"] else 0
+    may_block = near = False
+    for me in range(len(agents)):
+        mine, held_up = agents[me], marks[me]["stalled"] >= held_up_steps
+        for n in range(len(agents)):
+            if n == me:
+                continue
+            other, moves = agents[n], not math.isnan(agents[n]["start_x"])
+            x, z, yields = other["x"], other["z"], other["yields"]
+            near |= math.hypot(x - mine["x"], z - mine["z"]) <= stand_off_m
+            may_block |= yields and held_up and mine["hindered"]
+            reach = marks[me]["beside"], marks[n]["extent"]
+            may_block |= is_close(
+                mine["start_x"], mine["start_z"], x, z, moves, yields, held_up, *reach, moving_m, idle_m
+            )
+    return may_block, near

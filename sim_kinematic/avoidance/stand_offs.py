@@ -54,17 +54,17 @@ class StandOffs:
         """Return the encounter of two agents."""
         return self._encounters[min(a, b), max(a, b)]
 
-    def update(self, held_off: Callable[[int, int], bool]) -> list[tuple[int, int]]:
+    def update(self, held_off: Callable[[int, int], bool], *, near: bool = True) -> list[tuple[int, int]]:
         """Count one step, and return the pairs of agents that have to be separated.
 
         These are agents without progress for a long time, of which at least one has something to do.
 
-        ``held_off`` returns whether an agent is blocked by another agent that is driven from outside.
+        ``held_off`` returns whether an agent is blocked by another agent that is driven from outside. ``near`` is False if
+        all agents are known to be apart.
         """
         stuck = []
         for pair, encounter in self._encounters.items():
-            (x, z), (other_x, other_z) = self._walkers[pair[0]].xz.tolist(), self._walkers[pair[1]].xz.tolist()
-            if math.hypot(other_x - x, other_z - z) > AVOIDANCE.stand_off_m:
+            if not near or math.dist(*(self._walkers[number].xz.tolist() for number in pair)) > AVOIDANCE.stand_off_m:
                 encounter.steps, encounter.waited = 0, False
                 encounter.legs.clear()
                 continue

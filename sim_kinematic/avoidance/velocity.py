@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.yielding import RULES, Onlookers, discs_to_avoid
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_worlds, integrate_along, least_clearance, wrap_angle
@@ -149,20 +149,6 @@ def choose_command(
     return best
 
 
-class ObstacleDisc(NamedTuple):
-    """A disc of another agent that a robot has to keep clear of."""
-
-    xz: Sequence[float] | NDArray[np.floating]
-    """Position of the disc [2] [m]."""
-    velocity: Sequence[float] | NDArray[np.floating]
-    """Velocity of the disc [2] [m/s]."""
-    settled: bool = False
-    """True if the agent has stood still for a long time and is passed at ``still_margin_m``."""
-    radius_m: float = AVOIDANCE.person_radius_m
-    margin_m: float = AVOIDANCE.margin_m
-    """Gap to be kept between the robot and the disc [m]."""
-
-
 @kernel(error_model="numpy")
 def _within(wanted, before, up, down):
     """Return the value nearest to ``wanted`` if the size of ``before`` may grow by ``up`` and shrink by ``down``."""
@@ -232,13 +218,45 @@ def clear_step(
     return keeps, command
 
 
+@kernel(error_model="numpy")
+def clear_of_others(
+    sdf,
+    origin,
+    cell,
+    xz,
+    heading,
+    contact,
+    wanted,
+    goal,
+    agents,
+    offsets,
+    heeded,
+    held_by,
+    agreed,
+    rules,
+    base,
+    target,
+    before,
+    eases,
+    drives,
+):
+    """Return the result of `clear_step` among the agents that `discs_to_avoid` finds near the base."""
+    x, z = xz[0, 0], xz[0, 1]
+    others = discs_to_avoid(x, z, agents, offsets, heeded, held_by, agreed, base[3], rules)
+    length = math.hypot(goal[0] - x, goal[1] - z)
+    return clear_step(
+        sdf, origin, cell, xz, heading, contact, wanted, goal, length, others, base, target, before, eases, drives
+    )
+
+
 def keep_clear(
     free: FreeSpace,
     base: tuple[Any, ...],
     state: RobotState,
     wanted: tuple[float, float],
     towards: NDArray,
-    others: Sequence[ObstacleDisc],
+    others: Onlookers,
+    held_by: NDArray[np.int64],
     target: tuple[float, float] | None = None,
     before: tuple[float, float] | None = None,
     *,
@@ -257,24 +275,20 @@ def keep_clear(
         state: state of the base; with ``drives`` it makes the step, sliding strictly, except on stairs.
         wanted: wanted command.
         towards: floor point [2] to which the base is going.
-        others: discs of the other agents.
+        others: other agents, of which the heeded ones count.
+        held_by: number of the agent that holds each object, [K].
         target: first result of the last step.
         before: second result of the last step.
         drives: whether the base makes the step.
     """
-    (x, z), (goal_x, goal_z), rows = state.xz[0].tolist(), towards.tolist(), []
-    for (to_x, to_z), velocity, settled, radius_m, margin_m in others:
-        # an agent that is far away cannot matter within the horizon, and most steps end here
-        if math.hypot(to_x - x, to_z - z) <= AVOIDANCE.range_m:
-            rows.append((to_x, to_z, *velocity, base[3] + radius_m, margin_m, settled))
+    goal_x, goal_z = towards.tolist()
     return free.entries(
-        clear_step,
+        clear_of_others,
         *(free.sdf, free.origin, free.cell_m),
         *(state.xz, state.heading, state.contact),
         (float(wanted[0]), float(wanted[1])),
         (goal_x, goal_z),
-        math.hypot(goal_x - x, goal_z - z),
-        np.array(rows, np.float64).reshape(-1, 7),
+        *(others.agents, others.offsets, others.heeded, held_by, others.agreed, RULES),
         base,
         # NaN rather than None: the kernel is compiled for one type
         (math.nan, math.nan) if target is None else target,
@@ -313,13 +327,15 @@ def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array(base.disc_offsets_m, np.float64), np.array(hull_of(base), np.float64)
 
 
-def crowding(base: BaseSpec, stands: NDArray, others: Sequence[ObstacleDisc]) -> NDArray[np.int64]:
+def crowding(base: BaseSpec, stands: NDArray, others: Onlookers) -> NDArray[np.int64]:
     """Rate how close a robot at stands ``(x, z, heading)`` [N, 3] would be to other agents at present, as int [N].
 
     The rating is 1 within the margin of an agent, 2 in contact with one, and 0 otherwise.
     """
-    discs = np.array([(*o.xz, base.disc_radius_m + o.radius_m, o.margin_m) for o in others], np.float64).reshape(-1, 4)
-    return _crowding(np.ascontiguousarray(stands), discs, _discs(base)[1], AVOIDANCE.still_margin_m)
+    discs = others.beside(stands[0, :2] if len(stands) else np.zeros(2), base.disc_radius_m)[:, [0, 1, 4, 5]]
+    return _crowding(
+        np.ascontiguousarray(stands), np.ascontiguousarray(discs), _discs(base)[1], AVOIDANCE.still_margin_m
+    )
 
 
 @kernel(error_model="numpy")

@@ -6,6 +6,7 @@ A step of rearrangement asks up to five times whether agents touch, and they alm
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any
 
@@ -15,39 +16,66 @@ from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.kernels.clips import joint_frames, write_frame
 from h3data.bodies.people.skeleton import PARENT_ARRAY
 from h3data.bodies.robots.kinematics import link_frames
-from h3data.geometry import Array
+from h3data.geometry import IDENTITY_POSE, Array
 from h3data.kernels import kernel
 from h3data.kernels.entries import Entries
 from h3data.scene.shape_bounds import bounding_capsule
 from sim_kinematic.contact.agent_contact import NEAR_M, any_near
 
+_CALL = Entries()
+
 
 class AgentCapsules:
-    """Capsules around a robot's links, or around a person's bones."""
+    """Capsules around a robot's links, or around a person's bones, in the frame of the agent root."""
 
     def __init__(self, body: Humanoid | Robot) -> None:
         self._kernel, self._args, self.radii, self._call = _capsules_of(body)
         # frames and ends are filled in place, so that posing allocates nothing
         self._frames, self.ends = np.empty((1, len(self._args[2]), 4, 4)), np.empty_like(self._args[1])
-        """World positions of the capsules' ends in the last posture, [n, 2, 3] [m]."""
+        """Positions of the capsules' ends in the last posture, [n, 2, 3] [m]."""
 
-    def pose(self, base: Array, *posture: Array) -> None:
-        """Pose the capsules of an agent whose root is at a pose7 [7] in the world.
+    def pose(self, *posture: Array) -> None:
+        """Pose the capsules.
 
         A robot is posed by its joint positions [J], and a person by local rotations [55, 4] and the pelvis [3] [m].
         """
-        self._call(self._kernel, base, *(part[None] for part in posture), *self._args, self._frames, self.ends)
+        self._call(self._kernel, IDENTITY_POSE, *(part[None] for part in posture), *self._args, self._frames, self.ends)
 
 
-def may_touch(a: AgentCapsules, b: AgentCapsules, spare_m: float = 0.0) -> bool:
-    """Return whether two agents are close enough that `AgentContacts` has to test them.
+def may_touch(a: AgentCapsules, base_a: Array, b: AgentCapsules, base_b: Array) -> bool:
+    """Return whether two agents at pose7 [7] are close enough that `AgentContacts` has to test them.
 
-    This is so if two of their capsules are within twice `NEAR_M` and ``spare_m`` [m].
+    This is so if two of their capsules are within twice `NEAR_M`.
     """
     # distance of capsules from which `AgentContacts` decides: more than its own `NEAR_M`, as it gets poses
     # rounded to float32
-    margin_m = 2 * NEAR_M + spare_m
-    return bool(any_near(a.ends, a.radii, b.ends, b.radii, margin_m))
+    return bool(_CALL(_near_at, a.ends, a.radii, base_a, b.ends, b.radii, base_b, 2 * NEAR_M))
+
+
+@kernel(error_model="numpy")
+def _near_at(ends_a, radii_a, base_a, ends_b, radii_b, base_b, margin):
+    """Return the result of `any_near` for two agents whose roots are at pose7 [7]."""
+    # upright they reach no farther than in their own frames; on stairs robots tilt
+    if base_a[3] == 0.0 and base_a[5] == 0.0 and base_b[3] == 0.0 and base_b[5] == 0.0:
+        reach = margin + 1e-9
+        for ends, radii in ((ends_a, radii_a), (ends_b, radii_b)):
+            most = 0.0
+            for n in range(len(radii)):
+                for k in range(2):
+                    most = max(most, math.hypot(ends[n, k, 0], ends[n, k, 2]) + radii[n])
+            reach += most
+        if math.hypot(base_a[0] - base_b[0], base_a[2] - base_b[2]) > reach:
+            return False
+    return any_near(_moved(ends_a, base_a), radii_a, _moved(ends_b, base_b), radii_b, margin)
+
+
+@kernel(error_model="numpy")
+def _moved(ends, base):
+    """Return ends [n, 2, 3] in the frame of an agent root at a pose7 [7] in the world."""
+    frame, out = np.eye(4), np.empty_like(ends)
+    write_frame(np.eye(4), (base[3], base[4], base[5], base[6]), base[0], base[1], base[2], frame)
+    _move(frame.reshape(1, 4, 4), np.zeros(len(ends), np.int64), ends, out)
+    return out
 
 
 @lru_cache(maxsize=64)

@@ -164,6 +164,7 @@ class Traffic:
         for actor in self.actors:
             # until it takes its first turn: an agent that follows another policy makes way for nobody
             actor.yields = False
+            self._company.end_turn(actor.number)
 
     def _actor(self, number: int, floor: FreeSpace) -> RobotTrafficAgent | WalkingAgent:
         world, body = self._world, self._world.roster[number].body

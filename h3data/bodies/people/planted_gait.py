@@ -221,8 +221,10 @@ class PlantedWalk:
         The pose has local rotations [55, 4] and the pelvis position [3] [m] in the agent root frame. The pelvis is
         lowered where a leg would be too short.
         """
-        # not by `_CALL`: arrays of the caller, so numba looks at their types
-        self._kernels.plant_legs(self.tables, self.state, quats, pelvis)
+        # any other arrays of the caller by numba itself, which looks at their types
+        plain = all(part.flags.carray and part.dtype == np.float64 for part in (quats, pelvis))
+        plant = self._kernels.plant_legs
+        _CALL(plant, self.tables, self.state, quats, pelvis) if plain else plant(self.tables, self.state, quats, pelvis)
 
 
 def _place(base: ArrayLike) -> tuple[float, float, float]:

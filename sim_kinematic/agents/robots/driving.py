@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_from_matrix, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
+from h3data.scene.freespace._geodesic import first_leg
 from sim_kinematic.agents.company import Company
 from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.robots.arm_clearance import ArmClearance
@@ -27,7 +28,7 @@ from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import base_numbers, braking_speed, keep_clear
-from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, avoided, discs_of, path_around, retreat_place
+from sim_kinematic.avoidance.yielding import NO_ONLOOKERS, NO_PATH, Onlookers, path_around, retreat_place
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import ROBOT, RobotState
@@ -62,8 +63,6 @@ class RobotDriver:
     """Test of the room for the robot's arm; None: no test is made."""
     avoids: bool = True
     """True if the robot's base keeps clear of other agents (`keep_clear`) in every skill."""
-    others: tuple[ObservedAgent, ...] = ()
-    """Other agents, the nearest first."""
     company: Company | None = None
     """Agents to which the robot gives way, with access by number; None: the robot is alone."""
     yields: bool = True
@@ -113,6 +112,11 @@ class RobotDriver:
     def agreed(self) -> bool:
         """Return whether all agents step aside on request (`sim_kinematic.avoidance.right_of_way.Walker`)."""
         return self.company is not None and self.company.agreed
+
+    @property
+    def others(self) -> Onlookers:
+        """Agents of the world, and to which of them the robot gives way."""
+        return NO_ONLOOKERS if self.company is None else self.company.around(self.number)
 
     def meets(self) -> bool:
         """Return whether the robot touches another agent in its present posture, so that it stays where it was."""
@@ -294,15 +298,16 @@ class RobotDriver:
     @property
     def _looks_around(self) -> bool:
         """Return whether another agent may be in its path; bases that maneuver consider only agents that are near."""
-        return bool(self._seen() if self.base.maneuvers else self.others)
+        others = self.others
+        return bool((others.near(self.xz) if self.base.maneuvers else others.heeded).any())
 
     def _maneuver(self, goal: NDArray, bearing: float | None = None) -> Generator[None, None, bool]:
         """Maneuver towards a floor point [2] where the robot is stuck; return whether a whole maneuver was done."""
         # the plan holds for the others where they are now
-        stood = {other.number: other.xz for other in self._seen()}
+        stood = np.where(self.others.near(self.xz)[:, None], self.others.places, np.nan)
         commands = self._maneuver_to(goal, bearing)
         for forward, turn in commands:
-            if self.aside is not None or any(_has_come_near(other, stood, self.xz) for other in self._seen()):
+            if self.aside is not None or _has_come_near(self.others, stood, self.xz):
                 return False
             before = self.state.xz[0].copy(), self.heading
             self._step(
@@ -318,7 +323,7 @@ class RobotDriver:
         """Return the commands that lead towards a floor point [2] around all agents that are near, or none."""
         if not self.base.maneuvers:
             return []
-        discs = np.concatenate([np.zeros((0, 3)), *map(discs_of, self._seen())])
+        discs = self.others.discs(self.others.near(self.xz))
         asked = self.free, self.base, self.xz.tolist(), self.heading, goal.tolist(), discs.tolist(), bearing
         # a robot that is stuck asks again from where it stands; a search that fails is the longest
         if asked != self._planned[0]:
@@ -358,27 +363,15 @@ class RobotDriver:
     def _leg(self, goal: NDArray) -> tuple[float, NDArray]:
         """Return the length of the path to a floor point [2] [m], or infinity, and the point to drive to first."""
         # nearer points are passed over: an inflated corner is an arc of points 5 cm apart
-        length, waypoint = self.free.first_leg(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
-        return length, goal if math.isinf(length) else waypoint
+        free, ends = self.free, (*self.xz.tolist(), *goal.tolist())
+        length, x, z = free.entries(first_leg, free.graph, *ends, 1.0, self.base.disc_radius_m / 2)
+        return length, goal if math.isinf(length) else np.array([x, z])
 
     def _error_to(self, xz: NDArray, bearing: float = 0.0) -> float:
         """Return by how much the robot must turn to have a floor point [2] at a bearing to its left [rad]."""
         (x, z), (goal_x, goal_z) = self.xz.tolist(), xz.tolist()
         dx, dz = goal_x - x, goal_z - z
         return float(wrap_angle(float(np.arctan2(-dz, dx)) - bearing - self.heading))
-
-    def _seen(self) -> list[ObservedAgent]:
-        """Return the other agents that are near enough for `keep_clear`.
-
-        One that holds something counts as moving, however long it has been standing.
-        """
-        xz, near = self.xz.tolist(), []
-        for other in self.others:
-            if math.dist(xz, other.xz.tolist()) <= AVOIDANCE.range_m + other.footprint.extent_m:
-                if other.settled and self.objects.held(other.number) >= 0:
-                    other = other._replace(settled=False)
-                near.append(other)
-        return near
 
     def _step(
         self, forward: float, turn: float, towards: NDArray | None = None, *, avoid: bool = True, eases: bool = True
@@ -394,11 +387,11 @@ class RobotDriver:
         if self._numbers[0] is not base:
             self._numbers = base, base_numbers(base)
         clears, aim = self.avoids and avoid, self.xz if towards is None else towards
-        others = avoided(self._seen(), agreed=self.agreed) if clears else ()
+        others = self.others if clears else NO_ONLOOKERS, self.objects.held_by
         told = self._target if base.maneuvers else None, before if clears and eases and base.maneuvers else None
         # what the kernel does not do by itself: other ways to slide, stairs, and to refuse what is not finite
         slides = base.slide == "strict" and not free.has_stairs and math.isfinite(sum(wanted))
-        target, self.command = keep_clear(free, self._numbers[1], state, wanted, aim, others, *told, drives=slides)
+        target, self.command = keep_clear(free, self._numbers[1], state, wanted, aim, *others, *told, drives=slides)
         self._target = target if clears else self._target
         if not slides:
             drive_robots(state, free, np.array([self.command]), base)
@@ -435,9 +428,11 @@ class RobotDriver:
             self.base = self._carrying_base
 
 
-def _has_come_near(other: ObservedAgent, stood: dict[int, NDArray], xz: NDArray) -> bool:
-    """Return whether another agent has moved since a maneuver was planned, and is near the robot at ``xz`` [2]."""
-    if float(np.hypot(*(other.xz - xz))) > AVOIDANCE.retreat_m:
-        return False
-    # who is new was too far away to be planned around
-    return other.number not in stood or float(np.hypot(*(other.xz - stood[other.number]))) > AVOIDANCE.moving_m
+def _has_come_near(others: Onlookers, stood: NDArray, xz: NDArray) -> bool:
+    """Return whether another agent is near the robot at ``xz`` [2] that was not at ``stood`` [A, 2] before.
+
+    Those that were too far away to be planned around stood at NaN.
+    """
+    close = others.near(xz) & (np.hypot(*(others.places - xz).T) <= AVOIDANCE.retreat_m)
+    moved = ~(np.hypot(*(others.places - stood).T) <= AVOIDANCE.moving_m)
+    return bool((close & moved).any())

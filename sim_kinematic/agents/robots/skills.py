@@ -31,7 +31,7 @@ from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, SEARCH, Action, Lea
 from sim_kinematic.agents.stands import STANDS, handle_stands, island_of, nearest_stand, robot_stands
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import crowding
-from sim_kinematic.avoidance.yielding import avoided, shut_off
+from sim_kinematic.avoidance.yielding import shut_off
 from sim_kinematic.motion.spec import ArmSpec, BaseSpec
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.motion.step import drive_robots
@@ -315,7 +315,7 @@ class RobotActor(RobotDriver):
         1 is within the margin; 2 is contact, or no path to the stand for a robot that was turned away from it before.
         """
         # who steps aside when asked takes no stand away
-        crowded = crowding(self.base, stands, avoided([other for other in self.others if not other.steps_aside]))
+        crowded = crowding(self.base, stands, self.others)
         if self._goes_around:
             shut = shut_off(self.free, self.xz, stands[:, :2], self.others, radius_m=self.base.disc_radius_m)
             crowded = np.maximum(crowded, 2 * shut)

@@ -17,6 +17,7 @@ from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, transform_points
 from h3data.kernels import kernel
+from h3data.kernels.entries import Entries
 from h3data.recording import Event
 from h3data.recording.log_lines import SAY
 from h3data.recording.records import JOINTS
@@ -61,6 +62,7 @@ from sim_kinematic.tasks.skills.controller import IDLE_SKILLS, SkillController
 from sim_kinematic.tasks.skills.errands import errands_of
 from sim_kinematic.world import Command
 
+_CALL = Entries()
 CONTACT = "contact"
 # one second of 30 steps, and the present
 TRACK = 31
@@ -129,11 +131,9 @@ class Household(Team):
         # `Objects.held` is -1 for an empty hand, which picks the last entry: no body
         self.bodies = np.append(body_indices(episode), -1)
         self.at_goal = self._at_goal()
-        self._places: list[list[float]] = episode.starts.tolist()
+        self._places: list[Sequence[float]] = episode.starts.tolist()
         # views: a step changes the arrays of a world in place
-        self._before, self._now = (
-            [(own.xz[0], own.heading) for own in moment.agents] for moment in (play.world.before, state)
-        )
+        self._before = [(own.xz[0], own.heading) for own in play.world.before.agents]
         self._look()
 
     def _introduced(self) -> GivingWay:
@@ -335,7 +335,9 @@ class Household(Team):
         """Decide at the start of a step which agents step aside."""
         super().begin_step()
         # copies, with which `move` compares what the agents have made of them
-        self._held, self._joints = self.objects.held_by.tolist(), self.objects.state.joint_pos[0].copy()
+        self._held = self.objects.held_by.tolist()
+        if self.objects.openables is not None:
+            self._joints = self.objects.state.joint_pos[0].copy()
         self.company.begin_step([number for number in self._held if number != NOBODY])
 
     def begin_turn(self, number: int) -> None:
@@ -343,19 +345,22 @@ class Household(Team):
         controller = self.controllers[number]
         self.company.begin_turn(controller.actor)
         # a command lasts one step, so there is nothing to interrupt
-        policy = self.play.policies[number].policy
-        rests = self.play.step % getattr(policy, "interrupts_every", 1)
-        interrupts = None if controller.is_free or rests else getattr(policy, "interrupts", None)
-        if interrupts is None:
+        if controller.is_free:
+            return
+        policy, step = self.play.policies[number].policy, self.play.step
+        interrupts = getattr(policy, "interrupts", None)
+        if interrupts is None or step % getattr(policy, "interrupts_every", 1):
             return
         # most of the time nobody is close, and a view takes far longer than to find that out
-        needs_view = not getattr(policy, "interrupts_only_when_close", False)
+        needs_view, close = not getattr(policy, "interrupts_only_when_close", False), self._is_close(number)
+        if not close and not needs_view:
+            return
         k, held_by = controller.action.target, self.objects.held_by
         is_taken = 0 <= k < len(held_by) and held_by.item(k) not in (NOBODY, number)
-        glance = CloseView(controller.action, self._is_close(number), self.play.step, is_taken)
+        glance = CloseView(controller.action, close, step, is_taken)
         # what an agent knows that has not seen everything only a view tells
         may_interrupt = getattr(policy, "may_interrupt", None) if self.objects.sight is None else None
-        if not (glance.close or needs_view) or not (may_interrupt is None or may_interrupt(glance)):
+        if may_interrupt is not None and not may_interrupt(glance):
             return
         if reason := interrupts(self.play.view(number) if needs_view else glance):
             controller.interrupt(reason)
@@ -368,7 +373,7 @@ class Household(Team):
         """Store the present poses of all agents, and those of the last call in `World.before`."""
         for (xz, heading), place in zip(self._before, self._places, strict=True):
             xz[0], xz[1], heading[0] = place
-        self._places = [[*xz.tolist(), heading.item(0)] for xz, heading in self._now]
+        self._places = list(self.company.at)
 
     def move(self, commands: Sequence[Command | None]) -> None:
         """Complete a step in which the agents have moved one after the other."""
@@ -381,9 +386,11 @@ class Household(Team):
         self.at_goal = self._at_goal()
         for hands in self._chores:
             hands.follow(self.play)
-        self._move_joints(self._joints)
+        if self.objects.openables is not None:
+            self._move_joints(self._joints)
         # after doors and drawers have moved, as they reveal and hide things in the same step
-        self._look()
+        if self.objects.sight is not None:
+            self._look()
         self.is_quiet = not touching and held_now == self._held and self.at_goal.tobytes() == was_at_goal.tobytes()
         if self.is_quiet:
             self._finishers = frozenset()
@@ -477,10 +484,10 @@ class Household(Team):
 
     def _is_close(self, agent: int) -> bool:
         """Return whether the nearest other agent is inside the ellipse in which skills may be interrupted."""
-        me, other, (a, b) = self.actors[agent], self.company.nearest(agent), self.episode.spec.near_m
+        other, (a, b) = self.company.nearest(agent), self.episode.spec.near_m
         if other < 0:
             return False
-        ahead, aside = _seen(me.xz, me.heading, self.actors[other].xz)
+        ahead, aside = _seen(*self.company.at[agent], *self.company.at[other][:2])
         return (ahead / a) ** 2 + (aside / b) ** 2 < 1
 
     def errand(self, number: int) -> TaskProgress:
@@ -549,7 +556,8 @@ class Household(Team):
     def _at_goal(self) -> NDArray[np.bool_]:
         """Return which objects are at their goals and in nobody's hand, [K]."""
         at_goal = np.empty(len(self.objects.goals), np.bool_)
-        _reached(self.objects.poses, self.objects.goals, self.objects.held_by, self.episode.spec.at_goal_m, at_goal)
+        objects, within_m = self.objects, float(self.episode.spec.at_goal_m)
+        _CALL(_reached, objects.poses, objects.goals, objects.held_by, within_m, at_goal)
         return at_goal
 
     def exact(
@@ -668,9 +676,8 @@ def _reached(poses, goals, held_by, within, at_goal):
         at_goal[k] = held_by[k] == NOBODY and math.sqrt(dx * dx + dy * dy + dz * dz) < within
 
 
-def _seen(xz: NDArray, heading: float, other: NDArray) -> tuple[float, float]:
+def _seen(x: float, z: float, heading: float, other_x: float, other_z: float) -> tuple[float, float]:
     """Return another place in an agent's frame: ahead and to its right [m]."""
-    (x, z), (other_x, other_z) = xz.tolist(), other.tolist()
     dx, dz = other_x - x, other_z - z
     # forward is (c, -s) in (x, z), and the right-hand side (s, c)
     c, s = math.cos(heading), math.sin(heading)

@@ -94,6 +94,7 @@ def follow_track(play: WorldRollout, actor: PersonActor, track: SkillTrack, step
             other.aside = None
     actor.person.held.clear()
     actor.yields = False
+    play.team.company.end_turn(actor.number)
     play.policies[actor.number] = play.policies[actor.number]._replace(policy=_Silent())
     play.team.controllers[actor.number].follow(_following(actor, track, step), step)
 

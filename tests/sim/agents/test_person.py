@@ -20,9 +20,12 @@ from h3data.geometry import (
     quat_multiply,
     quat_rotate,
 )
+from h3data.scene import FreeSpace
+from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents import person as skills
 from sim_kinematic.agents.person import Frame, Person, run
-from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.spec import NATURAL_WALKER, WalkerSpec
+from sim_kinematic.motion.state import HumanState
 
 BODIES = [name for name in humanoid_names() if not name.startswith("older")]
 """All who reach every one of `SPOTS`; who stoops does not."""
@@ -343,3 +346,25 @@ def test_what_is_held_turns_with_a_hand_that_is_turned_from_outside() -> None:
     held = person.held["right"]
     expected = quat_multiply(person.palm("right")[3:], held.grip[3:])
     np.testing.assert_allclose(np.abs(person.objects["mug"][3:] @ expected), 1, atol=1e-9)
+
+
+def test_a_plain_walk_is_shown_as_it_would_be_blended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A walk that nothing is added to is not blended: to the last bit the same, and so is what comes after it."""
+    free = FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=1)), radius_m=0.25)
+    at = free.sample(np.random.default_rng(0), 1)[0]
+    frames = []
+    for short in (True, False):
+        with monkeypatch.context() as patch:
+            if not short:
+                patch.setattr(Person, "_is_bare", False)
+            person = Person(load_humanoid("female_1"), ground_pose(at, 0.7), {}, spec=NATURAL_WALKER, free=free)
+            gait = HumanState.zeros(1)
+            gait.xz[0], gait.heading[0], walk = at, 0.7, []
+            for step in range(90):
+                gait.xz[0, 0] += 0.02 * (step < 60)
+                person.look_at = person.base[:3] + np.array([1.0, 1.5, 2.0]) if 20 < step < 40 else None
+                person.stride(gait)
+                walk.append([person.quats.copy(), person.bare.copy(), person._drawn.arms.copy()])
+            frames.append(walk)
+    for short, blended in zip(*frames, strict=True):
+        assert all(one.tobytes() == other.tobytes() for one, other in zip(short, blended, strict=True))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +21,10 @@ from sim_kinematic.agents.skills import Action, Objects, SkillResult
 from sim_kinematic.agents.stands import robot_stands
 from sim_kinematic.avoidance.robot_base import CARRIED_M, base_of, carrying_base_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.yielding import ObservedAgent
+from sim_kinematic.avoidance.yielding import RULES, discs_to_avoid
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
-from sim_kinematic.motion.state import WorldState
+from sim_kinematic.motion.state import NOBODY, WorldState
+from tests.sim.avoidance.commands import Seen, onlookers
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +58,10 @@ def test_it_turns_to_a_near_point_instead_of_driving_round_it(free: FreeSpace, d
         assert left <= ARRIVED_M
 
 
-def seen(xz: np.ndarray, *, settled: bool = True) -> ObservedAgent:
-    return ObservedAgent(1, xz, np.zeros(2), settled, False)
+def beside(xz: np.ndarray) -> Any:
+    """A company of one person who has settled."""
+    around = onlookers(Seen(xz, settled=True))
+    return SimpleNamespace(agreed=False, around=lambda _: around, meets=lambda _: False)
 
 
 def test_who_waits_gets_out_of_the_way_of_a_person_who_is_near(free: FreeSpace) -> None:
@@ -64,7 +69,7 @@ def test_who_waits_gets_out_of_the_way_of_a_person_who_is_near(free: FreeSpace) 
     near, far = (at + np.array([d, 0.0]) for d in (1.0, AVOIDANCE.retreat_m + 0.5))
     for person, moves in ((near, True), (far, False)):
         robot = robot_at(free, at, 0.0)
-        robot.others = (seen(person),)
+        robot.company = beside(person)
         for _ in robot.start(Action("wait", steps=90)):
             pass
         assert (np.hypot(*(robot.xz - at)) > 0.3) == moves
@@ -73,10 +78,11 @@ def test_who_waits_gets_out_of_the_way_of_a_person_who_is_near(free: FreeSpace) 
 
 def test_who_holds_something_has_not_settled(free: FreeSpace) -> None:
     robot = robot_at(free, roomiest(free), 0.0)
-    robot.others = (seen(robot.xz + 1.0),)
-    assert robot._seen()[0].settled
-    robot.objects.held_by[0] = 1
-    assert not robot._seen()[0].settled
+    robot.company, held_by = beside(robot.xz + 1.0), robot.objects.held_by
+    for holder in (NOBODY, 1):
+        held_by[0] = holder
+        rows = discs_to_avoid(*robot.xz, *robot.others[:3], held_by, False, 0.3, RULES)
+        assert rows[0, 6] == (holder == NOBODY)
 
 
 def test_an_interrupted_pick_folds_the_arm(free: FreeSpace) -> None:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from sim_kinematic.agents.giving_way import _note
 from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.yielding import AGENT
 
 
 @settings(max_examples=30)
@@ -16,9 +17,12 @@ def test_the_kernel_finds_those_who_stand(seed: int) -> None:
     rng = np.random.default_rng(seed)
     agents, count, still = 3, AVOIDANCE.still_steps, AVOIDANCE.still_m
     steps = rng.normal(0, rng.choice([0.0, 3e-4, 1e-3]), (agents, 2 * count, 2))
-    track, places, settled = np.cumsum(steps, axis=1), np.zeros((agents, 2 * count, 2)), np.zeros(agents, np.bool_)
+    track, places, now = np.cumsum(steps, axis=1), np.zeros((agents, 2 * count, 2)), np.zeros(agents, AGENT)
     for moments in range(1, 2 * count + 1):
-        _note(places, moments, track[:, moments - 1].copy(), settled, count, still)
+        now["x"], now["z"] = track[:, moments - 1].T
+        near = _note(places, moments, now, np.full(agents, 0.05), count, still)
+        gaps = np.hypot(*(track[:, None, moments - 1] - track[None, :, moments - 1]).transpose(2, 0, 1))
+        assert near == (gaps[np.triu_indices(agents, 1)] <= 0.1).any()
         last = track[:, max(moments - count, 0) : moments]
-        np.testing.assert_array_equal(settled, (np.ptp(last, axis=1).max(-1) < still) & (moments >= count))
+        np.testing.assert_array_equal(now["settled"], (np.ptp(last, axis=1).max(-1) < still) & (moments >= count))
     np.testing.assert_array_equal(places, track)

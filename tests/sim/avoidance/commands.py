@@ -4,17 +4,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance import velocity
-from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import ObstacleDisc, base_numbers
+from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
+from sim_kinematic.avoidance.velocity import base_numbers
+from sim_kinematic.avoidance.yielding import Onlookers
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import RobotState
 
 Command = tuple[float, float]
+NOTHING_HELD = np.zeros(0, np.int64)
+
+
+class Seen(NamedTuple):
+    """An agent as another one observes it."""
+
+    xz: np.ndarray
+    velocity: Sequence[float] = (0.0, 0.0)
+    settled: bool = False
+    is_robot: bool = False
+    heading: float = 0.0
+    footprint: Footprint = AVOIDANCE.person
+
+
+def onlookers(*others: Seen, first: int = 1) -> Onlookers:
+    """The arrays of some agents, of which the first has the number ``first``."""
+    found = Onlookers.of(others)
+    for k, other in enumerate(others):
+        found.note(k, other, (float(other.velocity[0]), float(other.velocity[1])))
+        found.agents["settled"][k], found.agents["number"][k] = other.settled, first + k
+    return found
 
 
 def standing(xz: np.ndarray, heading: float) -> RobotState:
@@ -31,11 +54,12 @@ def kept_clear(
     heading: float,
     wanted: Command,
     towards: np.ndarray,
-    others: Sequence[ObstacleDisc],
+    others: Sequence[Seen],
     target: Command | None = None,
 ) -> Command:
     """The command that keeps clear of others, of a robot that does not move."""
-    return velocity.keep_clear(free, base_numbers(base), standing(xz, heading), wanted, towards, others, target)[0]
+    told = onlookers(*others), NOTHING_HELD, target
+    return velocity.keep_clear(free, base_numbers(base), standing(xz, heading), wanted, towards, *told)[0]
 
 
 def reference(
@@ -44,15 +68,15 @@ def reference(
     state: RobotState,
     wanted: Command,
     towards: np.ndarray,
-    others: Sequence[ObstacleDisc],
+    others: Sequence[Seen],
     target: Command | None,
     before: Command | None,
 ) -> tuple[Command, Command]:
     """`sim_kinematic.avoidance.velocity.keep_clear` put together in Python, without the step."""
     spec, here, goal = AVOIDANCE, tuple(state.xz[0].tolist()), tuple(towards.tolist())
     rows = [
-        (x, z, *speeds, base.disc_radius_m + radius_m, margin_m, settled)
-        for (x, z), speeds, settled, radius_m, margin_m in others
+        (x, z, *speeds, base.disc_radius_m + spec.person_radius_m, spec.margin_m, settled)
+        for (x, z), speeds, settled, *_ in others
         if math.hypot(x - here[0], z - here[1]) <= spec.range_m
     ]
     keeps, heading = wanted, state.heading.item(0)

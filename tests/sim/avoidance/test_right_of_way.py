@@ -22,11 +22,12 @@ from sim_kinematic.agents.skills import Action, Objects, SkillResult
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.avoidance.yielding import NO_PATH, ObservedAgent, discs_of, in_the_way, path_around
+from sim_kinematic.avoidance.yielding import NO_PATH, discs_of, in_the_way, path_around
 from sim_kinematic.motion.spec import NATURAL_WALKER, STEP_S, WalkerSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.runner import rollout, run
+from tests.sim.avoidance.commands import Seen, onlookers
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange
 
 
@@ -133,27 +134,28 @@ def test_floods_that_end_early_find_the_same_paths(free: FreeSpace) -> None:
 
 
 # --- what is in the way -------------------------------------------------------------------------------------------------
-def seen(xz: object, *, is_robot: bool = False, heading: float = 0.0, velocity: object = (0, 0)) -> ObservedAgent:
+def seen(
+    xz: object, *, is_robot: bool = False, heading: float = 0.0, velocity: tuple[float, float] = (0.0, 0.0)
+) -> Seen:
     footprint = AVOIDANCE.robot if is_robot else AVOIDANCE.person
-    xz, velocity = np.array(xz, np.float64), np.array(velocity, np.float64)
-    return ObservedAgent(1, xz, velocity, False, is_robot, heading, footprint=footprint)
+    return Seen(np.array(xz, np.float64), velocity, False, is_robot, heading, footprint)
 
 
 def test_a_robot_is_as_long_as_it_is() -> None:
     along, across = (seen([1.0, 0.55], is_robot=True, heading=h) for h in (0.0, np.pi / 2))
     here, there = np.zeros(2), np.array([3.0, 0.0])
-    assert in_the_way(here, there, [seen([1.0, 0.65])]) is None
-    assert in_the_way(here, there, [seen([1.0, 0.65], velocity=(0, -1))]) is not None
-    assert in_the_way(here, there, [across]) is across
-    assert in_the_way(here, there, [seen([-0.5, 0.0])]) is None
+    assert in_the_way(here, there, onlookers(seen([1.0, 0.65]))) == -1
+    assert in_the_way(here, there, onlookers(seen([1.0, 0.65], velocity=(0, -1)))) == 0
+    assert in_the_way(here, there, onlookers(seen([3.0, 3.0]), across)) == 1
+    assert in_the_way(here, there, onlookers(seen([-0.5, 0.0]))) == -1
     assert len(discs_of(along)) == 3
     np.testing.assert_allclose(discs_of(across)[:, 0], 1.0, atol=1e-9)
 
 
 def test_whom_one_gets_no_nearer_to_is_not_in_the_way() -> None:
     """Two people side by side in a corridor waited for each other for the rest of the episode."""
-    assert in_the_way(np.zeros(2), np.array([3.0, 0.0]), [seen([0.05, 0.5])]) is None
-    assert in_the_way(np.zeros(2), np.array([3.0, 0.0]), [seen([0.3, 0.5])]) is not None
+    assert in_the_way(np.zeros(2), np.array([3.0, 0.0]), onlookers(seen([0.05, 0.5]))) == -1
+    assert in_the_way(np.zeros(2), np.array([3.0, 0.0]), onlookers(seen([0.3, 0.5]))) == 0
 
 
 def test_a_way_round_all_who_stand(free: FreeSpace) -> None:
@@ -164,7 +166,7 @@ def test_a_way_round_all_who_stand(free: FreeSpace) -> None:
         others = [seen((p + q) / 2) for p, q in pairwise(path)][:2]
         if any(min(np.hypot(*(o.xz - a)), np.hypot(*(o.xz - b))) < 1.0 for o in others):
             continue
-        way = path_around(free, a, b, others)
+        way = path_around(free, a, b, onlookers(*others))
         if way is not None:
             found += 1
             whole = np.vstack([a, way])
@@ -172,8 +174,8 @@ def test_a_way_round_all_who_stand(free: FreeSpace) -> None:
                 distance_to_path(o.xz, whole) > 2 * AVOIDANCE.person.radius_m + min(AVOIDANCE.passing_m) - 0.08
                 for o in others
             )
-        moving = [o._replace(velocity=np.ones(2)) for o in others]
-        assert path_around(free, a, b, moving) is not None  # they will be elsewhere
+        moving = [o._replace(velocity=(1.0, 1.0)) for o in others]
+        assert path_around(free, a, b, onlookers(*moving)) is not None  # they will be elsewhere
     assert found >= 2
 
 
@@ -452,3 +454,40 @@ def test_robots_work_out_their_paths_only_where_somebody_may_have_to_step_aside(
     simulate_rearrange(rearrange_episode(home, seed=3, free=free), solo_steps=1)
     assert announced
     assert len(worked_out) < 0.5 * len(announced)
+
+
+def blocker_in_python(xz: np.ndarray, towards: np.ndarray, others: list[Seen]) -> int:
+    """`in_the_way`, agent after agent in plain Python."""
+    (leg_x, leg_z), found, nearest = (towards - xz).tolist(), -1, np.inf
+    length = float(np.hypot(leg_x, leg_z))
+    for k, other in enumerate(others):
+        moves = np.hypot(*other.velocity) > AVOIDANCE.stands_mps
+        for x, z, radius in discs_of(other):
+            gap_x, gap_z = x - xz[0], z - xz[1]
+            room = AVOIDANCE.person.radius_m + radius + AVOIDANCE.moving_m * moves
+            along, aside = (gap_x * leg_x + gap_z * leg_z) / length, abs(gap_x * leg_z - gap_z * leg_x) / length
+            distance = float(np.hypot(gap_x, gap_z))
+            nears = along > 0 and distance - aside > AVOIDANCE.beside_nearer_m
+            if nears and along < min(AVOIDANCE.ahead_m, length) + room and aside < room and distance < nearest:
+                found, nearest = k, distance
+    return found
+
+
+def test_the_kernel_finds_who_is_in_the_way() -> None:
+    rng, found = np.random.default_rng(2), set()
+    for _ in range(500):
+        others = [
+            seen(
+                rng.uniform(-2, 2, 2),
+                is_robot=bool(rng.random() < 0.5),
+                heading=float(rng.uniform(-3, 3)),
+                velocity=tuple((rng.uniform(-1, 1, 2) * (rng.random() < 0.5)).tolist()),
+            )
+            for _ in range(int(rng.integers(4)))
+        ]
+        xz, towards = rng.uniform(-0.5, 0.5, (2, 2))
+        found.add(in_the_way(xz, towards, onlookers(*others)))
+        assert in_the_way(xz, towards, onlookers(*others)) == blocker_in_python(xz, towards, others)
+        discs = onlookers(*others).discs(np.ones(len(others), np.bool_))
+        np.testing.assert_array_equal(discs, np.concatenate([np.zeros((0, 3)), *map(discs_of, others)]))
+    assert found == {-1, 0, 1, 2}

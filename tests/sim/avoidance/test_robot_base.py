@@ -18,11 +18,10 @@ from h3data_worlds.shape_points import shape_points
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.avoidance.robot_base import base_of, floor_of, footprint_of, hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import ObstacleDisc
 from sim_kinematic.contact.clearance import robot_span
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 from tests.bodies.robots.cart_robot import CART_SETTINGS, write_cart
-from tests.sim.avoidance.commands import kept_clear
+from tests.sim.avoidance.commands import Seen, kept_clear
 from tests.simulated import simulate_social_nav, simulate_wander, social_nav_episode
 
 
@@ -105,7 +104,7 @@ def test_a_hull_of_ones_own_keeps_clear(free: FreeSpace) -> None:
     at = at[int(np.argmax(free.signed_distance(at)))]
     robot = replace(load_robot("lift_arm"), hull_discs=np.array([-0.9, -0.6, -0.3, 0.0]))
     long, short = base_of(robot, BaseSpec()), base_of(load_robot("lift_arm"), BaseSpec())
-    beside = ObstacleDisc(at + np.array([-0.8, 0.7]), np.zeros(2))
+    beside = Seen(at + np.array([-0.8, 0.7]))
     turn = (0.0, 1.0)  # to the left: the tail swings to the right
     assert kept_clear(free, short, at, 0.0, turn, at, [beside]) == turn
     assert kept_clear(free, long, at, 0.0, turn, at, [beside]) != turn

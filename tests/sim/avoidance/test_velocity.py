@@ -13,7 +13,6 @@ from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import (
-    ObstacleDisc,
     base_numbers,
     braking_speed,
     crowding,
@@ -23,7 +22,7 @@ from sim_kinematic.avoidance.velocity import (
 )
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
 from sim_kinematic.motion.step import drive_robots, integrate, is_clear, least_clearance
-from tests.sim.avoidance.commands import kept_clear, reference, standing
+from tests.sim.avoidance.commands import NOTHING_HELD, Seen, kept_clear, onlookers, reference, standing
 
 COMMANDS = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
 ROUNDING = 1e-12
@@ -40,7 +39,9 @@ def roomy() -> tuple[FreeSpace, np.ndarray]:
 def eased(base: BaseSpec, wanted: tuple, before: tuple) -> tuple[float, float]:
     """The command of a step in which nobody is near."""
     free, at = roomy()
-    return keep_clear(free, base_numbers(base), standing(at, 0.0), wanted, at, [], None, before)[1]
+    return keep_clear(free, base_numbers(base), standing(at, 0.0), wanted, at, onlookers(), NOTHING_HELD, None, before)[
+        1
+    ]
 
 
 @given(st.integers(0, 10_000), st.integers(0, 3), st.booleans(), st.booleans(), st.booleans())
@@ -50,9 +51,7 @@ def test_a_step_has_the_bits_of_its_parts(seed: int, count: int, eases: bool, co
     base = (HOME_BASE, BaseSpec(), BaseSpec(max_speed_mps=0.6, max_turn_rad_s=1.0))[seed % 3]
     at, towards = free.sample(rng, 2)
     others = [
-        ObstacleDisc(
-            (at + rng.uniform(-2.5, 2.5, 2)).tolist(), rng.uniform(-1, 1, 2).tolist(), bool(rng.random() < 0.3)
-        )
+        Seen(at + rng.uniform(-2.5, 2.5, 2), rng.uniform(-1, 1, 2).tolist(), bool(rng.random() < 0.3))
         for _ in range(count)
     ]
     wanted, target, before = rng.choice([0.0, -0.0, 0.3, -0.7, 1.0, -1.0, rng.uniform(-1, 1)], (3, 2)).tolist()
@@ -62,7 +61,8 @@ def test_a_step_has_the_bits_of_its_parts(seed: int, count: int, eases: bool, co
     result = reference(free, base, expected, tuple(wanted), towards, others, *told)
     if drives:
         drive_robots(expected, free, np.array([result[1]]), base)
-    given = keep_clear(free, base_numbers(base), robot, tuple(wanted), towards, others, *told, drives=drives)
+    around = onlookers(*others), NOTHING_HELD
+    given = keep_clear(free, base_numbers(base), robot, tuple(wanted), towards, *around, *told, drives=drives)
     assert np.array(given).tobytes() == np.array(result).tobytes()
     for mine, theirs in zip(robot.arrays(), expected.arrays(), strict=True):
         assert mine.tobytes() == theirs.tobytes()
@@ -129,7 +129,7 @@ def test_beside_somebody_it_holds_on_to_the_side_on_which_it_passes() -> None:
     """Of two ways past somebody straight ahead it keeps the one on which it is."""
     free, at = roomy()
     ahead = at + np.array([1.6, 0.0])
-    somebody = ObstacleDisc(at + np.array([1.1, 0.0]), np.zeros(2))
+    somebody = Seen(at + np.array([1.1, 0.0]))
     for side in (1.0, -1.0):
         chosen = kept_clear(free, HOME_BASE, at, 0.0, (1.0, 0.0), ahead, [somebody], (0.5, side))
         assert chosen[1] * side >= 0.0
@@ -139,14 +139,11 @@ def test_beside_somebody_it_holds_on_to_the_side_on_which_it_passes() -> None:
 def test_stands_are_rated_by_the_nearest_agent(seed: int, stands: int, others: int) -> None:
     rng = np.random.default_rng(seed)
     at = rng.uniform(-1, 1, (stands, 3)) * (2.0, 2.0, np.pi)
-    discs = [
-        ObstacleDisc(tuple(rng.uniform(-2, 2, 2).tolist()), [0.0, 0.0], False, *rng.uniform(0.0, 0.5, 2).tolist())
-        for _ in range(others)
-    ]
+    discs = [Seen(rng.uniform(-2, 2, 2)) for _ in range(others)]
     hull, expected = np.array(hull_of(HOME_BASE)), []
     for x, z, heading in at.tolist():
-        reach = [HOME_BASE.disc_radius_m + other.radius_m for other in discs]
-        gaps = [least_gap(x, z, heading, *other.xz, hull, r) for other, r in zip(discs, reach, strict=True)]
-        near = any(gap < other.margin_m for gap, other in zip(gaps, discs, strict=True))
+        reach = HOME_BASE.disc_radius_m + AVOIDANCE.person_radius_m
+        gaps = [least_gap(x, z, heading, *other.xz, hull, reach) for other in discs]
+        near = any(gap < AVOIDANCE.margin_m for gap in gaps)
         expected.append(2 if any(gap < AVOIDANCE.still_margin_m for gap in gaps) else int(near))
-    assert crowding(HOME_BASE, at, discs).tolist() == expected
+    assert crowding(HOME_BASE, at, onlookers(*discs)).tolist() == expected

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from h3data.bodies import load_humanoid, load_robot
-from h3data.geometry import ground_pose
+from h3data.geometry import IDENTITY_POSE, ground_pose
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.body_capsules import AgentCapsules, may_touch
 from sim_kinematic.contact.frames import body_shapes, shape_frames
@@ -28,23 +28,22 @@ def test_no_contact_is_hidden() -> None:
         (quats,), (pelvis,) = person.clip_pose([1], [rng.random()], [rng.random()])
         contacts.update(0, shape_frames(robot, robot.link_matrices(stored(base)[None], stored(joints)[None]))[0])
         contacts.update(1, shape_frames(person, person.joint_matrices(stored(root), quats[None], pelvis[None]))[0])
-        capsules[0].pose(base, joints)
-        capsules[1].pose(root, quats, pelvis)
-        may = may_touch(*capsules)
+        capsules[0].pose(joints)
+        capsules[1].pose(quats, pelvis)
+        may = may_touch(capsules[0], base, capsules[1], root)
         assert may or not contacts.collides()
         seen[may] += 1
     assert min(seen.values()) > 50
 
 
 def test_ends_are_where_the_frames_of_links_and_joints_put_them() -> None:
-    robot, person, rng = load_robot("quad_arm"), load_humanoid("female_0"), np.random.default_rng(1)
-    root = ground_pose(rng.uniform(-3, 3, 2), 0.7, 0.2)
+    robot, person, root = load_robot("quad_arm"), load_humanoid("female_0"), IDENTITY_POSE
     (quats,), (pelvis,) = person.clip_pose([1], [0.3], [1.0])
     links = robot.link_matrices(root[None], robot.rest[None])[0]
     joints = person.joint_matrices(root, quats[None], pelvis[None])[0]
     for body, frames, posture in ((robot, links, (robot.rest,)), (person, joints, (quats, pelvis))):
         capsules = AgentCapsules(body)
-        capsules.pose(root, *posture)
+        capsules.pose(*posture)
         of, ends = capsules._args[:2]
         expected = np.einsum("nij,nkj->nki", frames[of, :3, :3], ends) + frames[of, None, :3, 3]
         np.testing.assert_allclose(capsules.ends, expected, atol=1e-12)

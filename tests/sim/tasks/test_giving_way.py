@@ -12,11 +12,7 @@ import h3data
 from h3data.bodies.people.kernels.planted import SPEED
 from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
-from sim_kinematic.agents.giving_way import GivingWay
-from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.contact.body_capsules import AgentCapsules, may_touch
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.policies.rearrange import Chooser
 from sim_kinematic.policies.views import CloseView, RearrangeView
@@ -72,28 +68,6 @@ def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -
         spans = np.diff(np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]))))[::2]
         assert spans.max(initial=0) <= 2 * AVOIDANCE.lasts_steps, "asked at most twice in a row"
     assert not play.world.touching.any()
-
-
-def test_agents_who_stay_clear_do_not_touch(home: Scene, free: FreeSpace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where a bound replaces the test of capsules, the test would have said the same."""
-    stays_clear, spared = GivingWay._stays_clear, []
-
-    def looks(self: GivingWay, pair: tuple[int, int], now: tuple) -> bool:
-        clear = stays_clear(self, pair, now)
-        if clear:
-            (robot, person), (one, other) = self.actors, map(AgentCapsules, self.bodies)
-            assert isinstance(robot, RobotActor)
-            assert isinstance(person, PersonActor)
-            one.pose(robot.pose, robot.joints)
-            other.pose(person.person.base, person.person.quats, person.person.pelvis)
-            spared.append(may_touch(one, other))
-        return clear
-
-    monkeypatch.setattr(GivingWay, "_stays_clear", looks)
-    play = rollout(REARRANGE, rearrange_episode(home, seed=0, free=free), {"robot": "greedy_nearest", "human": "both"})
-    run(play, steps=300)
-    assert len(spared) > 20
-    assert not any(spared)
 
 
 def test_a_robot_is_asked_wherever_it_would_interrupt(home: Scene, free: FreeSpace) -> None:

@@ -21,7 +21,6 @@ from sim_kinematic.agents.robots.hand_reach import HAND_REACH, hand_turn
 from sim_kinematic.agents.skills import SKILLS, Action
 from sim_kinematic.agents.stands import person_stands, robot_stands
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import ObstacleDisc
 from sim_kinematic.contact import FclScene, MovingShapes, collide
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.rearrange import (
@@ -37,7 +36,7 @@ from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.solo import solo_steps_of
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
-from tests.sim.avoidance.commands import kept_clear
+from tests.sim.avoidance.commands import Seen, kept_clear
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange
 
 
@@ -313,8 +312,8 @@ def test_the_base_gives_way(free: FreeSpace) -> None:
     ahead = at + np.array([1.2, 0.0])
     far = at + np.array([AVOIDANCE.range_m + 1, 0.0])
     go = (1.0, 0.0)
-    assert kept_clear(free, base, at, 0.0, go, ahead, [ObstacleDisc(far, np.zeros(2))]) == go
-    coming = ObstacleDisc(ahead, np.array([-2.5, 0.0]))
-    assert kept_clear(free, base, at, 0.0, go, ahead, [ObstacleDisc(far, np.zeros(2)), coming]) != go
+    assert kept_clear(free, base, at, 0.0, go, ahead, [Seen(far)]) == go
+    coming = Seen(ahead, (-2.5, 0.0))
+    assert kept_clear(free, base, at, 0.0, go, ahead, [Seen(far), coming]) != go
     command = kept_clear(free, base, at, 0.0, (0.0, 0.0), at, [coming])
     assert command != (0.0, 0.0)  # whoever stands in the way steps aside
