@@ -16,6 +16,7 @@ from h3data.errors import InputError
 from h3data.geometry import normalized
 from h3data.kernels import kernel, kernel_part
 from h3data.render.raster.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
+from h3data.render.raster.raster_simd import count_trailing_zeros, fetch_ahead
 from h3data.render.shade.blockers import (
     NO_BLOCKERS,
     TILE_X,
@@ -46,6 +47,7 @@ from h3data.render.shade.shading_simd import (
     TONE_SIZE,
     equal_words,
     even_nearness,
+    even_words,
     gloss_block,
     light_block,
     light_coordinates_block,
@@ -433,28 +435,39 @@ def _dim_waiting(cast, tile, rays, behind, waiting, scratch, places, count, stri
 def _fine_row_words(geometry, surface, target, patches, y, row, width):
     """Fill the words of an image row [W]: of one of the four samples where they show one surface, else `_MIXED`."""
     words, inv_z = target.words, target.inv_z
-    for x in range(width):
-        word = words[2 * y, 2 * x]
-        row[x] = word
-        right, lower, both = words[2 * y, 2 * x + 1], words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]
-        if word == right and word == lower and word == both:
-            continue
-        row[x] = _MIXED
-        # the background has no triangle whose patch could be compared
-        if word < 0 or right < 0 or lower < 0 or both < 0:
-            continue
-        near, other = inv_z[2 * y, 2 * x], inv_z[2 * y, 2 * x + 1]
-        third, last = inv_z[2 * y + 1, 2 * x], inv_z[2 * y + 1, 2 * x + 1]
-        nearest, farthest = max(max(near, other), max(third, last)), min(min(near, other), min(third, last))
-        if nearest - farthest > _SMOOTH_DEPTH * nearest:
-            continue
-        instance, patch = target.draws[word >> 7, INSTANCE], _patch_of(geometry, surface, target, patches, word)
-        smooth = True
-        for more in (right, lower, both):
-            smooth &= target.draws[more >> 7, INSTANCE] == instance
-            smooth &= _patch_of(geometry, surface, target, patches, more) == patch
-        if smooth:
-            row[x] = word
+    row_at, row_bytes = np.uintp(row.ctypes.data), np.uintp(words.shape[1] * 4)
+    line_at = np.uintp(words.ctypes.data) + np.uintp(2 * y) * row_bytes
+    nearness_at = np.uintp(inv_z.ctypes.data) - np.uintp(words.ctypes.data)
+    for begin in range(0, width, 8):
+        at = line_at + np.uintp(begin * 8)
+        edges = even_words(at, at + row_bytes, row_at + np.uintp(begin * 4))
+        for k in range(2, 4):  # the next row: what is read of the nearness is scattered
+            fetch_ahead(at + np.uintp(k) * row_bytes)
+            fetch_ahead(nearness_at + at + np.uintp(k) * row_bytes)
+        while edges:
+            x = begin + count_trailing_zeros(edges)
+            edges &= edges - 1
+            word, right = words[2 * y, 2 * x], words[2 * y, 2 * x + 1]
+            lower, both = words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]
+            row[x] = _MIXED
+            # the background has no triangle whose patch could be compared
+            if word < 0 or right < 0 or lower < 0 or both < 0:
+                continue
+            near, other = inv_z[2 * y, 2 * x], inv_z[2 * y, 2 * x + 1]
+            third, last = inv_z[2 * y + 1, 2 * x], inv_z[2 * y + 1, 2 * x + 1]
+            nearest, farthest = max(max(near, other), max(third, last)), min(min(near, other), min(third, last))
+            if nearest - farthest > _SMOOTH_DEPTH * nearest:
+                continue
+            instance, patch = target.draws[word >> 7, INSTANCE], _patch_of(geometry, surface, target, patches, word)
+            smooth, known = True, word
+            for more in (right, lower, both):
+                # most blocks see two triangles
+                if smooth and more != word and more != known:
+                    smooth, known = target.draws[more >> 7, INSTANCE] == instance, more
+                    smooth = smooth and _patch_of(geometry, surface, target, patches, more) == patch
+            if smooth:
+                row[x] = word
+    row[width] = _PADDING  # blocks of eight may overrun
 
 
 @kernel_part(forceinline=True)
