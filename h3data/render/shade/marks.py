@@ -38,7 +38,8 @@ def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
         coarse = (y + lower) // 2
         if coarse < len(occlusion_changed):
             line = occlusion_changed[coarse]
-            for c in range(len(line)):
+            # most rows have none, which is quick to tell
+            for c in range(len(line) if _any(line, 0, len(line)) else 0):
                 if line[c]:
                     some = True
                     # its own pixel and one on either side, which are interpolated from it
@@ -51,6 +52,27 @@ def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
             for x in range(k * TILE_X, min((k + 1) * TILE_X, width)):
                 marks[x] |= LIT
     return some
+
+
+@kernel_part()
+def marked_runs(marks, words, factor, width):
+    """Return the first pixel and the end of the part of a row that holds all marked pixels and the runs of their neighbours.
+
+    ``words`` are those of the row in the target, with ``factor`` times as many columns; a run ends where they differ. The first
+    pixel is a multiple of 8, and so is the end unless it is that of the row.
+    """
+    first, last = 0, width
+    while first < last and not marks[first]:
+        first += 1
+    while last > first and not marks[last - 1]:
+        last -= 1
+    # the run after the last marked pixel is marked too if it may have been part of that pixel's run (`mark_run`)
+    last = min(last + 1, width)
+    while 0 < first < width and words[factor * first] == words[factor * (first - 1)]:
+        first -= 1
+    while last < width and words[factor * last] == words[factor * (last - 1)]:
+        last += 1
+    return first // 8 * 8, min(-(-last // 8) * 8, width)
 
 
 @kernel_part()

@@ -31,7 +31,7 @@ from h3data.render.shade.blockers import (
 )
 from h3data.render.shade.blockers_simd import RAY_ROWS, SCRATCH_ROWS
 from h3data.render.shade.borrowed import borrowed
-from h3data.render.shade.marks import SHADED, any_shaded, mark_row, mark_run, next_blocks
+from h3data.render.shade.marks import SHADED, any_shaded, mark_row, mark_run, marked_runs, next_blocks
 from h3data.render.shade.occlusion import Occlusion, dim_row, light_left, occlude, receded
 from h3data.render.shade.shading_setup import NO_TEXTURE, new_cache, set_up, slot_of
 from h3data.render.shade.shading_simd import (
@@ -267,18 +267,22 @@ def _shade_image(
     pixel = (factor / fx, factor / fy)
     tiles_across = -(-width // TILE_X)
     for y in range(height):
-        if again and not mark_row(marks, target.tile_drawn, occlusion.changed, cast_changed, factor, y, width):
-            continue
+        first, last = 0, width
+        if again:
+            if not mark_row(marks, target.tile_drawn, occlusion.changed, cast_changed, factor, y, width):
+                continue
+            first, last = marked_runs(marks, words[factor * y], factor, width)
         if fine:
-            _fine_row_words(geometry, surface, target, patches, y, row, width)
+            _fine_row_words(geometry, surface, target, patches, y, row, first, last)
         else:
-            for x in range(width):  # by element: to copy slices, numba compiles an error text for 2 s
+            for x in range(first, last):  # by element: to copy slices, numba compiles an error text for 2 s
                 row[x] = words[y, x]
+        row[last] = _PADDING
         tile_row = y // TILE_Y * tiles_across
         blocked = len(cast.first) > 0 and cast.first[tile_row] < cast.first[tile_row + tiles_across]
         v = ((y + 0.5) * factor - cy) / fy
-        x = count = waited = 0
-        while x < width:
+        x, count, waited = first, 0, 0
+        while x < last:
             word = row[x]
             end = x + 1
             if word != _MIXED:  # to the end of the run
@@ -357,12 +361,12 @@ def _shade_image(
         if fine:
             _dim_waiting(cast, waited, rays, behind, waiting, scratch, places, count, strip)
             for a in range(3):
-                for x in range(width):
+                for x in range(first, last):
                     strip[a, x] >>= 2 if row[x] == _MIXED else 0
         if strength > 0:
             line_at = inv_z_at + np.uintp(y * factor) * inv_z_bytes
             if fine:
-                for x in range(0, width, 8):
+                for x in range(first, last, 8):
                     at = np.uintp(x * 4)
                     even_nearness(line_at + at + at, row_at + at, _MIXED, np.float32(FAR_PADDING), near_at + at)
                 near[width:] = 0
@@ -389,11 +393,11 @@ def _shade_image(
                         cast, tile, rays, near_at + at, owners_at + at, only, strip_at + at, strip_bytes, scratch
                     )
         if rgb.size:
-            begin = 0 if again else width // 8 * 8  # where all pixels are shaded, eight are written at once
-            for x in range(0, begin, 8):
+            begin = first if again else width // 8 * 8  # where all pixels are shaded, eight are written at once
+            for x in range(first, begin, 8):
                 line_at = rgb_at + np.uintp((y * width + x) * 3)
                 write_colors(strip_at + np.uintp(x * 4), strip_bytes, bytes_at, line_at)
-            for x in range(begin, width):
+            for x in range(begin, last):
                 if marks[x] & SHADED:
                     for a in range(3):
                         rgb[y, x, a] = byte_of_level[strip[a, x]]
@@ -432,13 +436,16 @@ def _dim_waiting(cast, tile, rays, behind, waiting, scratch, places, count, stri
 
 
 @kernel_part()
-def _fine_row_words(geometry, surface, target, patches, y, row, width):
-    """Fill the words of an image row [W]: of one of the four samples where they show one surface, else `_MIXED`."""
+def _fine_row_words(geometry, surface, target, patches, y, row, first, last):
+    """Fill the words of an image row [W + 8] from ``first``, a multiple of 8, to ``last``.
+
+    A word is that of one of the four samples where they show one surface, else `_MIXED`. Blocks of 8 overrun ``last``.
+    """
     words, inv_z = target.words, target.inv_z
     row_at, row_bytes = np.uintp(row.ctypes.data), np.uintp(words.shape[1] * 4)
     line_at = np.uintp(words.ctypes.data) + np.uintp(2 * y) * row_bytes
     nearness_at = np.uintp(inv_z.ctypes.data) - np.uintp(words.ctypes.data)
-    for begin in range(0, width, 8):
+    for begin in range(first, last, 8):
         at = line_at + np.uintp(begin * 8)
         edges = even_words(at, at + row_bytes, row_at + np.uintp(begin * 4))
         for k in range(2, 4):  # the next row: what is read of the nearness is scattered
@@ -467,7 +474,6 @@ def _fine_row_words(geometry, surface, target, patches, y, row, width):
                     smooth = smooth and _patch_of(geometry, surface, target, patches, more) == patch
             if smooth:
                 row[x] = word
-    row[width] = _PADDING  # blocks of eight may overrun
 
 
 @kernel_part(forceinline=True)
