@@ -334,14 +334,11 @@ class Registry(Generic[T]):
 
     def load_all(self) -> dict[str, T]:
         """Return every object by name; warn about plug-ins that cannot be loaded and leave them out."""
-        return dict(self.load_each())
-
-    def load_each(self) -> Iterator[tuple[str, T]]:
-        """Yield what `load_all` returns, name by name, each loaded only when it is asked for: built-in ones first."""
+        loaded: dict[str, T] = {}
         for name in self._built_in:
             with suppress(InputError) if name in self._own else nullcontext():  # a package that it needs is not there
-                yield name, self._load_built_in(name)
-        yield from self.load_third_party().items()
+                loaded[name] = self._load_built_in(name)
+        return loaded | self.load_third_party()
 
     def load_third_party(self) -> dict[str, T]:
         """Return the objects that installed packages add; warn about those that cannot be loaded."""

@@ -10,7 +10,7 @@ one per task.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from h3data.errors import H3DataError, InputError, UntrustedNameError, did_you_mean
@@ -62,12 +62,11 @@ def profiles_named(name: str) -> tuple[Profile, ...]:
 
 def all_profiles() -> tuple[Profile, ...]:
     """Return every profile that has a name: built-in ones first, then those of installed packages."""
-    return tuple(_each_profile())
-
-
-def _each_profile() -> Iterator[Profile]:
-    for _, loaded in PROFILES.load_each():
-        yield from loaded if isinstance(loaded, tuple) else (loaded,)
+    return tuple(
+        profile
+        for loaded in PROFILES.load_all().values()
+        for profile in (loaded if isinstance(loaded, tuple) else (loaded,))
+    )
 
 
 def find_profile(name: str, task: str | None = None) -> Profile:
@@ -116,8 +115,9 @@ def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> 
 
 @functools.cache
 def _profile_naming(task: str) -> Profile:
-    # the profiles after it are not loaded, which for a first metric would take longer than all else
-    return next((p for p in _each_profile() if task in p.tasks), profiles_named(ANY_TASK)[0])
+    # the first ones first: to load all others takes longer than to measure an episode
+    several = (functools.partial(profiles_named, next(iter(PROFILES.names()))), all_profiles)
+    return next((p for profiles in several for p in profiles() if task in p.tasks), profiles_named(ANY_TASK)[0])
 
 
 def metrics_of(profile: str, task: str | None = None) -> tuple[Metric, ...]:

@@ -276,25 +276,6 @@ def equal_words(typing_context, address, word):
 
 
 @intrinsic
-def even_words(typing_context, upper_at, lower_at, out_at):
-    """Store every second of 16 int32 numbers of the upper row; return a bit for each 2x2 block of both rows, 1 if not all equal."""
-
-    def codegen(context, b, signature, arguments):
-        upper_at, lower_at, out_at = arguments
-        parts = []
-        for at in (upper_at, lower_at):
-            low, high = (load(b, at, offset, INT8) for offset in (0, 4 * LANES))
-            parts += [pick(b, low, high, range(first, 2 * LANES, 2)) for first in (0, 1)]
-        store(b, parts[0], out_at)
-        differ = [b.xor(part, parts[0]) for part in parts[1:]]
-        some = b.icmp_signed("!=", b.or_(b.or_(differ[0], differ[1]), differ[2]), ir.Constant(INT8, [0] * LANES))
-        return b.zext(b.bitcast(some, ir.IntType(LANES)), INT)
-
-    p = types.uintp
-    return types.int32(p, p, p), codegen
-
-
-@intrinsic
 def even_nearness(typing_context, inv_z_at, words_at, word, instead, out_at):
     """Store every second of 16 float32 numbers, or ``instead`` where the int32 number at ``words_at`` is ``word``."""
 
