@@ -32,7 +32,7 @@ import numba
 from llvmlite import binding as llvm
 from numba.core import types
 from numba.core.compiler import CompileResult
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from h3data.kernels.digests import OURS, UnknownError, code_digest, types_digest
