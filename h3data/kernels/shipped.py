@@ -32,6 +32,7 @@ import numba
 from llvmlite import binding as llvm
 from numba.core import types
 from numba.core.compiler import CompileResult
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from h3data.kernels.digests import OURS, UnknownError, code_digest, types_digest
@@ -120,8 +121,8 @@ def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
     try:
         with lzma.open(path) as file:
             payload = pickle.load(file)
-        # registers what numba has imported since, or the code would refer to functions that its context does not know
-        dispatcher.targetctx.refresh()
+        # the functions for memory that all code refers to; what else `refresh` would import serves only compiling
+        rtsys.initialize(dispatcher.targetctx)
         result = CompileResult._rebuild(dispatcher.targetctx, *payload)
     except FileNotFoundError:
         return False

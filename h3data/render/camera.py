@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.geometry import normalized
+from h3data.geometry import cross, normalized
 
 Projection = Literal["perspective", "orthographic", "fisheye", "equirectangular"]
 Convention = Literal["opencv", "opengl", "habitat"]
@@ -321,13 +321,13 @@ def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0.0, 1.0, 0.0
     """
     eye, target, up = (np.asarray(v, np.float64) for v in (eye, target, up))
     forward = normalized(target - eye)
-    right = np.cross(forward, up)
+    right = cross(forward, up)
     # the cross product of parallel directions has no direction of its own
     if np.linalg.norm(right) < 1e-6:
-        right = np.cross(forward, np.array([0.0, 0.0, -1.0]))
+        right = cross(forward, np.array([0.0, 0.0, -1.0]))
     right = normalized(right)
     pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, eye
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, cross(forward, right), forward, eye
     return pose
 
 

@@ -218,3 +218,15 @@ def test_a_profile_may_compute_several_recordings_together():
     first, left_out, last = profile.measure_many([fetching(), nobody, fetching()])
     assert isinstance(left_out, UnmeasurableError)
     assert [(each.values["a"], dict(each.notes)) for each in (first, last)] == [(5, {"a": "counted"})] * 2
+
+
+def test_only_the_first_profiles_are_loaded_for_a_task_that_they_name(monkeypatch):
+    asked = []
+    found = registry_module.PROFILES.get
+    monkeypatch.setattr(registry_module.PROFILES, "get", lambda name: asked.append(name) or found(name))
+    monkeypatch.setattr(registry_module.PROFILES, "load_all", lambda: pytest.fail("all profiles were loaded"))
+    registry_module.profiles_named.cache_clear()
+    registry_module._profile_naming.cache_clear()
+    assert profile_for("social_nav", {}).name == "paper"
+    assert set(asked) <= {"paper", registry_module.ANY_TASK}
+    registry_module._profile_naming.cache_clear()

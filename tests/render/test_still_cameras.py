@@ -13,6 +13,7 @@ from h3data.mesh.primitives import box_mesh
 from h3data.render import Camera, Renderer, RenderInstance, RenderScene, look_at, orthographic, pinhole
 from h3data.render.raster.cpu import CpuEngine
 from h3data.render.shade.blockers import Blockers, blocker_rows
+from h3data.render.shade.marks import SEEN, marked_runs
 from h3data.replay import Replay, camera_track
 from h3data.replay.stage import Stage
 from h3data_homes import HomeSpec, build_home
@@ -173,3 +174,25 @@ def test_homes_with_doors_things_and_people(task: str, seed: int, light: Literal
         camera = camera_track(replay, name).resized(400, 300).at(len(replay) // 3)
         for samples in (1, 4):
             same_as_new_stages(replay, camera, steps, samples)
+
+
+def test_the_part_of_a_row_that_is_looked_at_holds_the_runs_of_all_marks():
+    rng = np.random.default_rng(5)
+    for width, factor in ((37, 1), (64, 2), (200, 2)):
+        for _ in range(40):
+            words = np.repeat(rng.integers(0, 4, 40), rng.integers(1, 30, 40))
+            words = np.resize(words, width * factor).astype(np.int32)
+            marks = np.zeros(width + 8, np.uint8)
+            marked = rng.integers(0, width, rng.integers(0, 4))
+            marks[marked] = SEEN
+            first, last = marked_runs.py_func(marks, words, factor, width)
+            if not len(marked):
+                assert first == last
+                continue
+            assert first % 8 == 0
+            assert last % 8 == 0 or last == width
+            run = np.cumsum(np.diff(words[::factor], prepend=words[0]) != 0)
+            for x in {*marked, *np.minimum(marked + 1, width - 1)}:
+                (inside,) = np.nonzero(run == run[x])
+                assert first <= inside[0]
+                assert inside[-1] < last

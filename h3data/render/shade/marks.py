@@ -17,20 +17,17 @@ the pixel has been shaded."""
 
 @kernel_part()
 def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
-    """Fill the marks of a row [W + 8] of the picture; return whether there are any.
+    """Fill the marks of a row [W + 8] of the picture.
 
     ``drawn`` marks the tiles of 8 pixels of the target that were rendered again; the target has ``factor`` times the
     size of the picture. ``occlusion_changed`` marks pixels at half the resolution, each of which affects its
     neighbours. ``cast_changed`` marks tiles whose capsules have changed.
     """
-    some = False
-    for x in range(width + 8):
-        marks[x] = 0
+    marks[:] = 0
     each = 8 // factor
     row = drawn[y * factor // 8]
     for tile in range(len(row)):
         if row[tile]:
-            some = True
             for x in range(tile * each, min((tile + 1) * each, width)):
                 marks[x] = SEEN
     # an odd row lies between two rows of the coarse image and is lit by both, an even one on a row of its own
@@ -38,19 +35,40 @@ def mark_row(marks, drawn, occlusion_changed, cast_changed, factor, y, width):
         coarse = (y + lower) // 2
         if coarse < len(occlusion_changed):
             line = occlusion_changed[coarse]
-            for c in range(len(line)):
+            # most rows have none, which is quick to tell
+            for c in range(len(line) if any_marked(line, 0, len(line), 1) else 0):
                 if line[c]:
-                    some = True
                     # its own pixel and one on either side, which are interpolated from it
                     for x in range(max(2 * c - 1, 0), min(2 * c + 2, width)):
                         marks[x] |= LIT
     across = -(-width // TILE_X)
     for k in range(across if len(cast_changed) else 0):
         if cast_changed[y // TILE_Y * across + k]:
-            some = True
             for x in range(k * TILE_X, min((k + 1) * TILE_X, width)):
                 marks[x] |= LIT
-    return some
+
+
+@kernel_part()
+def marked_runs(marks, words, factor, width):
+    """Return the first pixel and the end of the part of a row that holds all marked pixels and the runs of their neighbours.
+
+    ``words`` are those of the row in the target, with ``factor`` times as many columns; a run ends where they differ. The first
+    pixel is a multiple of 8, and so is the end unless it is that of the row. Both are 0 without marked pixels.
+    """
+    first, last = 0, width
+    while first < last and not marks[first]:
+        first += 1
+    while last > first and not marks[last - 1]:
+        last -= 1
+    if first == last:
+        return 0, 0
+    # the run after the last marked pixel is marked too if it may have been part of that pixel's run (`mark_run`)
+    last = min(last + 1, width)
+    while first > 0 and words[factor * first] == words[factor * (first - 1)]:
+        first -= 1
+    while last < width and words[factor * last] == words[factor * (last - 1)]:
+        last += 1
+    return first // 8 * 8, min(-(-last // 8) * 8, width)
 
 
 @kernel_part()
@@ -74,11 +92,10 @@ def next_blocks(marks, begin, low, end):
     Both results are ``end`` if there are no such blocks.
     """
     # whole blocks counted from ``begin``, as when all is shaded, so that each pixel has the same lane as then
-    while low < end and not _any(marks, low, min(low + 8, end)):
+    while low < end and not any_marked(marks, low, min(low + 8, end), SEEN | LIT | SHADED):
         low += 8
-    low = min(low, end)
-    high = low
-    while high < end and _any(marks, high, min(high + 8, end)):
+    low = high = min(low, end)
+    while high < end and any_marked(marks, high, min(high + 8, end), SEEN | LIT | SHADED):
         high += 8
     high = min(high, end)
     for x in range(low, high):
@@ -86,18 +103,10 @@ def next_blocks(marks, begin, low, end):
     return low, high
 
 
-@kernel_part()
-def _any(marks, low, high):
-    found = False
-    for x in range(low, high):
-        found |= marks[x] != 0
-    return found
-
-
 @kernel_part(forceinline=True)
-def any_shaded(marks, x):
-    """Return whether one of 8 pixels is shaded."""
+def any_marked(marks, first, last, bits):
+    """Return whether one of the pixels from ``first`` to ``last`` has a mark in ``bits``."""
     found = False
-    for k in range(x, x + 8):
-        found |= (marks[k] & SHADED) != 0
+    for x in range(first, last):
+        found |= (marks[x] & bits) != 0
     return found

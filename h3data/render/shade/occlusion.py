@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.kernels import kernel, kernel_part
 from h3data.render.raster.raster import FAR_PADDING, Target, View
-from h3data.render.shade.marks import any_shaded
+from h3data.render.shade.marks import SHADED, any_marked
 from h3data.render.shade.occlusion_simd import (
     BIAS_PER_Z,
     CENTER_X,
@@ -270,7 +270,7 @@ def dim_row(occlusion, strength, y, width, near_at, strip, marks):
     between = y & 1
     lower_bytes, half_row = row_bytes * np.uintp(between), np.float32(0.5 * between)
     for x in range(0, width, 8):
-        if not any_shaded(marks, x):
+        if not any_marked(marks, x, x + 8, SHADED):
             continue
         c, f = np.uintp(x // 2 * 4), np.uintp(x * 4)
         dim_block(

@@ -30,7 +30,7 @@ from h3data.render.shade.blockers import (
 )
 from h3data.render.shade.blockers_simd import RAY_ROWS, SCRATCH_ROWS
 from h3data.render.shade.borrowed import borrowed
-from h3data.render.shade.marks import SHADED, any_shaded, mark_row, mark_run, next_blocks
+from h3data.render.shade.marks import SHADED, any_marked, mark_row, mark_run, marked_runs, next_blocks
 from h3data.render.shade.occlusion import Occlusion, dim_row, light_left, occlude, receded
 from h3data.render.shade.shading_setup import NO_TEXTURE, new_cache, set_up, slot_of
 from h3data.render.shade.shading_simd import (
@@ -175,7 +175,6 @@ def shade(
     bit-identical results; ``kept`` is updated.
     """
     samples = 1 if patches is None else 4
-    no_rgb, no_normal = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.float32)
     strength = light.occlusion if rgb is not None else 0.0
     cast = NO_BLOCKERS if rgb is None else tiled(blockers, view, target, factor=2 if samples == 4 else 1)
     cast_changed, again, before = np.zeros(0, np.uint8), False, None
@@ -188,7 +187,7 @@ def shade(
         # occlusion is computed for 1/z, which an orthographic target does not hold
         target = target._replace(inv_z=receded(view, target))
     occlusion = occlude(view, target, samples, before=before) if strength > 0 else _NO_OCCLUSION
-    picture = no_rgb if rgb is None else rgb
+    picture = np.zeros((0, 0, 3), np.uint8) if rgb is None else rgb
     if kept is not None:
         picture, kept.occlusion = kept.rgb, occlusion
     _shade_image(
@@ -205,7 +204,7 @@ def shade(
         cast,
         cast_changed,
         picture,
-        no_normal if normal is None else normal,
+        np.zeros((0, 0, 3), np.float32) if normal is None else normal,
         np.zeros(0, np.int32) if patches is None else patches,
         samples == 4,
         again,
@@ -239,7 +238,6 @@ def _shade_image(
     factor = 2 if fine else 1
     height, width = view.height // factor, view.width // factor
     cofactors = _normal_matrices(matrices)
-    triangles = cache.words
     texture_at = (np.uintp(surface.textures.levels.ctypes.data), np.uintp(surface.textures.words.ctypes.data))
     block = np.empty(BLOCK_WORDS, np.float32)
     strip = np.zeros((6, width + 8), np.int32)  # 8 more: blocks may overrun
@@ -265,18 +263,23 @@ def _shade_image(
     pixel = (factor / fx, factor / fy)
     tiles_across = -(-width // TILE_X)
     for y in range(height):
-        if again and not mark_row(marks, target.tile_drawn, occlusion.changed, cast_changed, factor, y, width):
-            continue
+        first, last = 0, width
+        if again:
+            mark_row(marks, target.tile_drawn, occlusion.changed, cast_changed, factor, y, width)
+            first, last = marked_runs(marks, words[factor * y], factor, width)
+            if first == last:
+                continue
         if fine:
-            _fine_row_words(geometry, surface, target, patches, y, row, width)
+            _fine_row_words(geometry, surface, target, patches, y, row, first, last)
         else:
-            for x in range(width):  # by element: to copy slices, numba compiles an error text for 2 s
+            for x in range(first, last):  # by element: to copy slices, numba compiles an error text for 2 s
                 row[x] = words[y, x]
+        row[last] = _PADDING
         tile_row = y // TILE_Y * tiles_across
         blocked = len(cast.first) > 0 and cast.first[tile_row] < cast.first[tile_row + tiles_across]
         v = ((y + 0.5) * factor - cy) / fy
-        x = count = waited = 0
-        while x < width:
+        x, count, waited = first, 0, 0
+        while x < last:
             word = row[x]
             end = x + 1
             if word != _MIXED:  # to the end of the run
@@ -285,10 +288,26 @@ def _shade_image(
                 while equal == 8:
                     equal = equal_words(row_at + np.uintp(end * 4), word)
                     end += equal
-            # a pixel of its own, so it needs no run to begin with
-            if word == _MIXED and not marks[x]:
-                pass
-            elif word == _MIXED:
+                u, step = ((x + 0.5) * factor - cx) / fx, pixel[0]
+                low, high = x, end
+                if again:
+                    mark_run(marks, x, end)
+                    low, high = next_blocks(marks, x, x, end)
+                while low < end:
+                    if word >= 0:
+                        slot = slot_of(word)
+                        if cache.words[slot] != word:
+                            set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
+                            _tint(word, slot, cache, cast, target)
+                        _light_run(
+                            slot, cache, texture_at, u, v, step, x, low, high, axes, light, block, coordinates, strip
+                        )
+                    else:
+                        _sky_run(u, v, step, x, low, high, axes, light, block, strip)
+                    low = high
+                    if again:
+                        low, high = next_blocks(marks, x, low, end)
+            elif marks[x]:  # a pixel of its own
                 marks[x] |= SHADED
                 strip[:3, x] = 0
                 seen = (
@@ -306,7 +325,7 @@ def _shade_image(
                     v1 = (2 * y + down / alike + 0.5 - cy) / fy
                     if word >= 0:
                         slot = slot_of(word)
-                        if triangles[slot] != word:
+                        if cache.words[slot] != word:
                             set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
                             _tint(word, slot, cache, cast, target)
                         _light_run(
@@ -331,36 +350,16 @@ def _shade_image(
                     else:
                         for a in range(3):
                             strip[a, x] += sample[a, 0] * alike
-            else:
-                u, step = ((x + 0.5) * factor - cx) / fx, pixel[0]
-                low, high = x, end
-                if again:
-                    mark_run(marks, x, end)
-                    low, high = next_blocks(marks, x, x, end)
-                while low < end:
-                    if word >= 0:
-                        slot = slot_of(word)
-                        if triangles[slot] != word:
-                            set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
-                            _tint(word, slot, cache, cast, target)
-                        _light_run(
-                            slot, cache, texture_at, u, v, step, x, low, high, axes, light, block, coordinates, strip
-                        )
-                    else:
-                        _sky_run(u, v, step, x, low, high, axes, light, block, strip)
-                    low = high
-                    if again:
-                        low, high = next_blocks(marks, x, low, end)
             x = end
         if fine:
             _dim_waiting(cast, waited, rays, behind, waiting, scratch, places, count, strip)
             for a in range(3):
-                for x in range(width):
+                for x in range(first, last):
                     strip[a, x] >>= 2 if row[x] == _MIXED else 0
         if strength > 0:
             line_at = inv_z_at + np.uintp(y * factor) * inv_z_bytes
             if fine:
-                for x in range(0, width, 8):
+                for x in range(first, last, 8):
                     at = np.uintp(x * 4)
                     even_nearness(line_at + at + at, row_at + at, _MIXED, np.float32(FAR_PADDING), near_at + at)
                 near[width:] = 0
@@ -377,7 +376,7 @@ def _shade_image(
                     near[x] = cast.inv_z[y * factor, x * factor] if whole else 0.0
                     owners[x] = owner_of(cast, target, row[x]) if whole else -1.0
                 for x in range(begin, min(begin + TILE_X, width), 8):
-                    if not any_shaded(marks, x):
+                    if not any_marked(marks, x, x + 8, SHADED):
                         continue
                     at, only = np.uintp(x * 4), owners[x]
                     for lane in range(1, 8):
@@ -387,11 +386,11 @@ def _shade_image(
                         cast, tile, rays, near_at + at, owners_at + at, only, strip_at + at, strip_bytes, scratch
                     )
         if rgb.size:
-            begin = 0 if again else width // 8 * 8  # where all pixels are shaded, eight are written at once
-            for x in range(0, begin, 8):
+            begin = first if again else width // 8 * 8  # where all pixels are shaded, eight are written at once
+            for x in range(first, begin, 8):
                 line_at = rgb_at + np.uintp((y * width + x) * 3)
                 write_colors(strip_at + np.uintp(x * 4), strip_bytes, bytes_at, line_at)
-            for x in range(begin, width):
+            for x in range(begin, last):
                 if marks[x] & SHADED:
                     for a in range(3):
                         rgb[y, x, a] = byte_of_level[strip[a, x]]
@@ -430,10 +429,13 @@ def _dim_waiting(cast, tile, rays, behind, waiting, scratch, places, count, stri
 
 
 @kernel_part()
-def _fine_row_words(geometry, surface, target, patches, y, row, width):
-    """Fill the words of an image row [W]: of one of the four samples where they show one surface, else `_MIXED`."""
+def _fine_row_words(geometry, surface, target, patches, y, row, first, last):
+    """Fill the words of an image row [W] from ``first`` to ``last``.
+
+    A word is that of one of the four samples if they show one surface, else `_MIXED`.
+    """
     words, inv_z = target.words, target.inv_z
-    for x in range(width):
+    for x in range(first, last):
         word = words[2 * y, 2 * x]
         row[x] = word
         right, lower, both = words[2 * y, 2 * x + 1], words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]
@@ -443,16 +445,21 @@ def _fine_row_words(geometry, surface, target, patches, y, row, width):
         # the background has no triangle whose patch could be compared
         if word < 0 or right < 0 or lower < 0 or both < 0:
             continue
-        near, other = inv_z[2 * y, 2 * x], inv_z[2 * y, 2 * x + 1]
-        third, last = inv_z[2 * y + 1, 2 * x], inv_z[2 * y + 1, 2 * x + 1]
-        nearest, farthest = max(max(near, other), max(third, last)), min(min(near, other), min(third, last))
+        near, other, third, fourth = (
+            inv_z[2 * y, 2 * x],
+            inv_z[2 * y, 2 * x + 1],
+            inv_z[2 * y + 1, 2 * x],
+            inv_z[2 * y + 1, 2 * x + 1],
+        )
+        nearest, farthest = max(max(near, other), max(third, fourth)), min(min(near, other), min(third, fourth))
         if nearest - farthest > _SMOOTH_DEPTH * nearest:
             continue
         instance, patch = target.draws[word >> 7, INSTANCE], _patch_of(geometry, surface, target, patches, word)
         smooth = True
         for more in (right, lower, both):
-            smooth &= target.draws[more >> 7, INSTANCE] == instance
-            smooth &= _patch_of(geometry, surface, target, patches, more) == patch
+            smooth &= (target.draws[more >> 7, INSTANCE] == instance) & (
+                _patch_of(geometry, surface, target, patches, more) == patch
+            )
         if smooth:
             row[x] = word
 
@@ -473,9 +480,8 @@ def _normal_matrices(matrices):
     for i in range(len(matrices)):
         m = matrices[i]
         for r in range(3):
-            r1, r2 = (r + 1) % 3, (r + 2) % 3
             for c in range(3):
-                c1, c2 = (c + 1) % 3, (c + 2) % 3
+                r1, r2, c1, c2 = (r + 1) % 3, (r + 2) % 3, (c + 1) % 3, (c + 2) % 3
                 out[i, r, c] = m[r1, c1] * m[r2, c2] - m[r1, c2] * m[r2, c1]
     return out
 
@@ -496,8 +502,7 @@ def _tint(word, slot, cache, cast, target):
 def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, axes, light, block, coordinates, strip):
     """Light pixels low..end of a strip, which see one triangle; the ray of the pixel ``begin`` is (u, v, 1)."""
     _, planes, attributes, levels = cache
-    row_bytes = np.uintp(strip.shape[1] * 4)
-    strip_at = np.uintp(strip.ctypes.data)
+    strip_at, row_bytes = np.uintp(strip.ctypes.data), np.uintp(strip.shape[1] * 4)
     attributes_at = np.uintp(attributes.ctypes.data) + np.uintp(slot * ATTRIBUTES * 4)
     block_at, light_at = np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
     coordinates_at, coordinates_bytes = np.uintp(coordinates.ctypes.data), np.uintp(coordinates.shape[1] * 4)
@@ -538,8 +543,8 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, low, end, axes, light
 @kernel_part(forceinline=True)
 def _sky_run(u, v, step, begin, low, end, axes, light, block, strip):
     """Fill background pixels low..end of a strip; the ray of the pixel ``begin`` is (u, v, 1)."""
-    row_bytes = np.uintp(strip.shape[1] * 4)
-    strip_at, block_at, light_at = np.uintp(strip.ctypes.data), np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
+    strip_at, row_bytes = np.uintp(strip.ctypes.data), np.uintp(strip.shape[1] * 4)
+    block_at, light_at = np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
     for k in range(3):
         block[RAY + 2 * k + 1] = axes[k, 0] * step
     for x in range(low, end, 8):

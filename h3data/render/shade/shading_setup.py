@@ -167,9 +167,11 @@ def _set_up_attributes(surface, face, cofactor, linear, attributes):
 @kernel_part(forceinline=True)
 def _world_normal(normals, vertex, cofactor):
     x, y, z = normals[vertex, 0], normals[vertex, 1], normals[vertex, 2]
-    nx = cofactor[0, 0] * x + cofactor[0, 1] * y + cofactor[0, 2] * z
-    ny = cofactor[1, 0] * x + cofactor[1, 1] * y + cofactor[1, 2] * z
-    nz = cofactor[2, 0] * x + cofactor[2, 1] * y + cofactor[2, 2] * z
+    nx, ny, nz = (
+        cofactor[0, 0] * x + cofactor[0, 1] * y + cofactor[0, 2] * z,
+        cofactor[1, 0] * x + cofactor[1, 1] * y + cofactor[1, 2] * z,
+        cofactor[2, 0] * x + cofactor[2, 1] * y + cofactor[2, 2] * z,
+    )
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
     scale = 1 / length if length > 0 else 0.0
     return nx * scale, ny * scale, nz * scale
