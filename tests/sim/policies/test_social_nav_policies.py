@@ -16,6 +16,7 @@ from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import build_from_walkable
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.rollouts import roll_out, roll_out_to, straight_walk
+from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots, least_clearance
@@ -150,6 +151,26 @@ def test_searches_are_left_out_only_where_another_trial_is_better(free: FreeSpac
     assert left_out > 0
 
 
+def test_trials_end_early_only_where_one_before_is_better(free: FreeSpace) -> None:
+    rng, ended, costs = np.random.default_rng(7), 0, (8.0, 0.15, 0.25)
+    for xz, heading in places(free, 30):
+        commands = np.concatenate([rng.uniform(-1, 1, (20, 2)), rng.integers(0, 31, (20, 1)), -np.ones((20, 1))], 1)
+        commands[1::3, :2] = commands[::3, :2]  # some start alike
+        walk = straight_walk(free, xz + rng.normal(size=2), rng.normal(size=2), 30)
+        whole = roll_out(free, SPEC, xz, heading, commands, walk, look_steps=30)
+        early = roll_out(free, SPEC, xz, heading, commands, walk, look_steps=30, costs=costs)
+        dx, dz = (walk[-1] - whole.xz).T
+        off = np.abs(wrap_angle(np.arctan2(-dz, dx) - whole.heading))
+        cost = costs[0] * np.maximum(costs[1] - whole.gap_m, 0.0) + costs[2] * off
+        played = np.isfinite(early.gap_m)
+        for a, b in zip(whole, early, strict=True):
+            np.testing.assert_array_equal(a[played], b[played])
+        assert played[np.argmin(cost)]
+        assert (cost[~played] > cost.min()).all()
+        ended += int((~played).sum())
+    assert ended > 30
+
+
 def test_who_walks_stops_at_the_wall(free: FreeSpace) -> None:
     rng = np.random.default_rng(6)
     for xz in free.sample(rng, 30):
@@ -159,6 +180,11 @@ def test_who_walks_stops_at_the_wall(free: FreeSpace) -> None:
         turned = np.abs(wrap_angle(np.arctan2(*(walk - xz).T) - np.arctan2(*velocity)))
         assert (turned[np.hypot(*(walk - xz).T) > 1e-6] < 1e-6).all()
         assert (straight_walk(free, xz, np.zeros(2), 9) == xz).all()
+        straight = xz + velocity * (np.arange(1, 61)[:, None] * STEP_S)
+        blocked = np.flatnonzero(free.signed_distance(straight) < free.radius_m - AVOIDANCE.wall_m)
+        if len(blocked):
+            straight[blocked[0] :] = straight[blocked[0] - 1] if blocked[0] else xz
+        np.testing.assert_array_equal(walk, straight)
 
 
 @pytest.mark.slow
