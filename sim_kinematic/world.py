@@ -414,9 +414,9 @@ class World:
                     f"{list(values.shape)}{infinite}.",
                     code="H3-SIM-053",
                 )
-            checked.append(
-                command._replace(points=values) if isinstance(command, PoseCommand) else type(command)(values)
-            )
+            if values is not command[0]:
+                command = command._replace(points=values) if isinstance(command, PoseCommand) else type(command)(values)
+            checked.append(command)
         return checked
 
     def _discs_beside(self, agent: int, agents: Sequence[AgentState], *, legs: bool = False) -> Array:

@@ -247,6 +247,7 @@ def _roll_out_to(
     for n in range(len(commands)):
         straight[n] = math.hypot(goal_x - ends[n, 0], goal_z - ends[n, 1])
         first = n if straight[n] < straight[first] else first
+    last_x, last_z, left, dx, dz = math.nan, math.nan, math.inf, 1.0, 0.0
     # the most promising trial first: then few others need a search
     for turn in range(-1, len(commands)):
         n = first if turn < 0 else turn
@@ -257,9 +258,13 @@ def _roll_out_to(
         # no way is shorter than the straight line; the table of corners is in float32
         if straight[n] - 1e-4 >= least:
             continue
-        ends[n, 3], ends[n, 0], ends[n, 1] = field_at(graph, corner, goals, x, z, SNAP_M)
-        if math.isinf(ends[n, 3]):  # there is no direction
-            ends[n, 0], ends[n, 1] = 1.0, 0.0
+        # trials that only turn end at one place
+        if x != last_x or z != last_z:
+            last_x, last_z = x, z
+            left, dx, dz = field_at(graph, corner, goals, x, z, SNAP_M)
+            if math.isinf(left):  # there is no direction
+                dx, dz = 1.0, 0.0
+        ends[n, 3], ends[n, 0], ends[n, 1] = left, dx, dz
         off = abs((math.atan2(-ends[n, 1], ends[n, 0]) - heading + math.pi) % (2 * math.pi) - math.pi)
         least = min(least, ends[n, 3] + turn_cost * off)
     return ends

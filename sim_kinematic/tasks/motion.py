@@ -188,6 +188,9 @@ def command_of(choices: Sequence[Any], name: str) -> Command:
         InputError: A choice has an unknown type.
     """
     first = choices[0]
+    if hasattr(first, "forward"):
+        # rounded, so that a replay of the recorded velocities moves the agent by the same bits
+        return DriveCommand(np.array([[c.forward, c.turn] for c in choices], np.float32).astype(np.float64))
     if isinstance(first, WaypointAction):
         return WaypointCommand(_rows([choice.xz for choice in choices]))
     if isinstance(first, PoseAction):
@@ -209,10 +212,7 @@ def command_of(choices: Sequence[Any], name: str) -> Command:
         return RecordedPoseCommand(
             _rows([choice.xz for choice in choices]), np.array([c.heading for c in choices]), posture
         )
-    if not hasattr(first, "forward"):
-        raise InputError(f"Expected {name} to choose a Velocity or WaypointAction, got {first!r}.", code="H3-TASK-069")
-    # rounded, so that a replay of the recorded velocities moves the agent by the same bits
-    return DriveCommand(np.array([[choice.forward, choice.turn] for choice in choices], np.float32).astype(np.float64))
+    raise InputError(f"Expected {name} to choose a Velocity or WaypointAction, got {first!r}.", code="H3-TASK-069")
 
 
 def _rows(values: list[NDArray[np.float64]]) -> NDArray[np.float64]:

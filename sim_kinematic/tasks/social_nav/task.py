@@ -210,7 +210,9 @@ class SocialNav(Task):
             state.success |= worth.success
             reward, ends = worth.reward, worth.ends
         else:
-            reward, ends = np.zeros(play.world.worlds), state.collides & play.spec.end_on_collision
+            reward, ends = np.zeros(play.world.worlds), np.zeros(play.world.worlds, np.bool_)
+            if play.spec.end_on_collision:
+                ends[:] = state.collides
         return StepOutcome(
             reward=reward,
             terminated=ends,
