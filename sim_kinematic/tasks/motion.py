@@ -70,9 +70,10 @@ class VelocityControl(Control):
         Raises:
             InputError: the choice is malformed.
         """
-        if isinstance(choice, GaitAction):
+        walks = play.world.roster[number].kind == "human"
+        if walks and isinstance(choice, GaitAction):
             return choice
-        if not isinstance(choice, WaypointAction | PoseAction | RecordedPose):
+        if not (walks and isinstance(choice, WaypointAction | PoseAction | RecordedPose)):
             return self.checked(play, number, choice)
         place = np.append(choice.xz, getattr(choice, "heading", 0.0))
         if place.shape != (3,) or not np.isfinite(place).all():
@@ -308,7 +309,15 @@ class MotionTeam(Team):
         if not names:
             return {}
         context, who = self._context(agent), (self.play.task.name, self.play.world.roster[agent].name)
-        return {name: np.asarray(sensed(name, sensors[name], context, *who), np.float64) for name in names}
+        exact = {name: np.asarray(sensed(name, sensors[name], context, *who), np.float64) for name in names}
+        for name, values in exact.items():
+            if values.shape[:1] != (self.play.world.worlds,):
+                raise InputError(
+                    f"The sensor {name!r} of {who[1]} must return an array [{self.play.world.worlds}, ...], one row for each "
+                    f"world of {who[0]}, got shape {list(values.shape)}.",
+                    code="H3-TASK-092",
+                )
+        return exact
 
     def _context(self, agent: int) -> SensorContext:
         """Return the inputs of an agent's sensors in all worlds."""
@@ -390,7 +399,9 @@ class MotionTeam(Team):
             else:
                 result |= {agent + name: values for name, values in self._motion_columns(k, body, own).items()}
                 words = skills.get(member.kind, ())
-                code = [words.index("walk" if walks else "turn") if words else -1 for walks in own.distance > next(extra)]
+                code = [
+                    words.index("walk" if walks else "turn") if words else -1 for walks in own.distance > next(extra)
+                ]
             result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
             if skills.get(member.kind):
                 result[agent + "skill"] = np.asarray(code).astype(np.int32)
@@ -411,7 +422,9 @@ class MotionTeam(Team):
         columns: Columns = {
             "motion_id": np.full(len(own.blend), clip, np.int32),
             # a walk begins anew where the person set off, so the clip's phase counts from there
-            "motion_phase": ((walk.start_phase + (own.distance - own.set_off) / walk.stride_m) % 1.0).astype(np.float32),
+            "motion_phase": ((walk.start_phase + (own.distance - own.set_off) / walk.stride_m) % 1.0).astype(
+                np.float32
+            ),
             "motion_blend": own.blend.astype(np.float32),
         }
         if self.play.spec.human.arms is not None:
