@@ -23,7 +23,6 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import gap_along
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.step import drive_facing, velocities
-from sim_kinematic.motion.step import wrap_angle as wrapped
 
 
 class Rollouts(NamedTuple):
@@ -46,7 +45,6 @@ def roll_out(
     person: NDArray[np.float64] | None = None,
     *,
     look_steps: int,
-    costs: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Rollouts:
     """Simulate N commands from one pose.
 
@@ -57,14 +55,10 @@ def roll_out(
 
     Commands that start alike should be next to each other: their common part is simulated once (6,900 instead of 4,700
     expert steps per CPU second).
-
-    ``costs`` are the cost of each metre by which a gap is smaller than a margin [1/m], this margin [m], and the cost of an
-    error of 1 rad between the final heading and the direction to the person's last place [1/rad]. A trial that another
-    one before it certainly surpasses ends early, with a gap of minus infinity.
     """
     ends, nobody = np.empty((len(commands), 4)), np.empty((0, 2))
     walk = nobody if person is None else person
-    free.entries(_roll_out, *_arguments(free, base, xz, heading), commands, walk, look_steps, costs, ends)
+    free.entries(_roll_out, *_arguments(free, base, xz, heading), commands, walk, look_steps, ends)
     return Rollouts(ends[:, :2], ends[:, 2], ends[:, 3])
 
 
@@ -143,7 +137,6 @@ def _roll_out(
     commands,
     person,
     look_steps,
-    costs,
     ends,
 ):
     rules, begun = (
@@ -151,7 +144,6 @@ def _roll_out(
         (heading0, math.cos(heading0), math.sin(heading0)),
     )
     branch, branch_x, branch_z, branch_facing, branch_gap = 0, x0, z0, begun, math.inf
-    (gap_cost, margin, turn_cost), least = costs, math.inf
     for n in range(len(commands)):
         speed, _, turn = velocities(commands[n, :2], limits)
         then = min(max(commands[n, 3], -limits[3]), 1.0) * limits[0]
@@ -177,16 +169,9 @@ def _roll_out(
             if step < len(person):
                 now = gap_along(x, z, facing[1], facing[2], person[step, 0], person[step, 1], hull, reach)
                 gap = min(gap, now + doubt * step * dt)
-                # a gap never grows again; the tolerance is far above what rounding can cause
-                if gap_cost * (margin - gap) > least + 1e-9:
-                    gap = -math.inf
-                    break
             if step < look_steps:
                 ends[n, 0], ends[n, 1], ends[n, 2] = x, z, facing[0]
         ends[n, 3] = gap
-        if gap_cost > 0.0 and gap > -math.inf:
-            off = abs(wrapped(math.atan2(z - person[-1, 1], person[-1, 0] - x) - facing[0]))
-            least = min(least, gap_cost * max(margin - gap, 0.0) + turn_cost * off)
 
 
 @kernel(error_model="numpy")
@@ -237,26 +222,17 @@ def _roll_out_to(
         commands,
         np.empty((0, 2)),
         look_steps,
-        (0.0, 0.0, 0.0),
         ends,
     )
     goal_x, goal_z, island = nearest_free(graph, goal_x, goal_z, SNAP_M)
     goals = np.array([[goal_x, goal_z]])[: int(island >= 0)]
     corner = corner_distances(graph, goals)
-    straight, first = np.empty(len(commands)), 0
-    for n in range(len(commands)):
-        straight[n] = math.hypot(goal_x - ends[n, 0], goal_z - ends[n, 1])
-        first = n if straight[n] < straight[first] else first
     last_x, last_z, left, dx, dz = math.nan, math.nan, math.inf, 1.0, 0.0
-    # the most promising trial first: then few others need a search
-    for turn in range(-1, len(commands)):
-        n = first if turn < 0 else turn
-        if turn == first:
-            continue
+    for n in range(len(commands)):
         x, z, heading, _ = ends[n]
         ends[n, 3] = math.inf
         # no way is shorter than the straight line; the table of corners is in float32
-        if straight[n] - 1e-4 >= least:
+        if math.hypot(goal_x - x, goal_z - z) - 1e-4 >= least:
             continue
         # trials that only turn end at one place
         if x != last_x or z != last_z:

@@ -6,7 +6,7 @@ A single world has W = 1. A world may have any number of robots and people, incl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
@@ -220,14 +220,11 @@ class StateBlock(NamedTuple):
     def of(cls, state: WorldState) -> StateBlock:
         """Return a copy of a state in one block."""
         arrays = _adjacent(state)
-        begins = _begins(arrays)
-        block = np.zeros(begins[-1], np.uint8)
+        block = np.frombuffer(bytearray(b"".join(a.tobytes().ljust(-(-a.nbytes // 8) * 8) for a in arrays)), np.uint8)
         views = [
             block[begin : begin + array.nbytes].view(array.dtype).reshape(array.shape)
-            for array, begin in zip(arrays, begins, strict=False)
+            for array, begin in zip(arrays, _begins(arrays), strict=False)
         ]
-        for view, array in zip(views, arrays, strict=True):
-            view[...] = array
         people = [*(view[len(state.robots) :] for view in views[:2]), *views[2 : len(_PEOPLE)]]
         together = {n: a.reshape(-1, *a.shape[2:]) for n, a in zip(_PEOPLE, people, strict=True)}
         return cls(block, _assembled(state, views), HumanState(**together), views[0], views[1])

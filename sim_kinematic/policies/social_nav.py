@@ -192,7 +192,7 @@ def _back_up(view: SocialNavView, spec: BaseSpec, gap: float, *, hurries: bool =
         return Velocity(backward, turn, "back_up")
     calm = _BACKING * (max(-gap, 0.0), 1.0, 1.0, max(-gap, 0.0)) if gap > -1 else _BACKING[:0]
     commands = np.concatenate([straight, calm, _BACKING if hurries or gap <= -1 else _BACKING[:0]])
-    ends = trial(commands, walk, costs=(EXPERT.room_cost, EXPERT.margin_m, EXPERT.turn_cost_m / 2))
+    ends = trial(commands, walk)
     dx, dz = (walk[-1] - ends.xz).T
     error = np.abs(wrap_angle(np.arctan2(-dz, dx) - ends.heading))
     best = np.argmin(EXPERT.room_cost * np.maximum(EXPERT.margin_m - ends.gap_m, 0.0) + EXPERT.turn_cost_m / 2 * error)

@@ -406,8 +406,7 @@ class MotionTeam(Team):
             if skills.get(member.kind):
                 result[agent + "skill"] = np.asarray(code).astype(np.int32)
         for k in self._handling():
-            hands = past.agents[k].hands  # type: ignore[union-attr]
-            result[f"agent_{k}.motion_hands"] = hands.astype(np.float32)
+            result[f"agent_{k}.motion_hands"] = past.agents[k].hands.astype(np.float32)  # type: ignore[union-attr]
         if past.joint_pos.size:
             result[JOINTS] = past.joint_pos.astype(np.float32)
         if past.object_pose.size:

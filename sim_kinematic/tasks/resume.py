@@ -7,22 +7,18 @@ reproduce the recorded states bit for bit.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
-from typing import Any, NamedTuple
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from h3data.errors import H3DataError, InputError, UntrustedNameError
 from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
-from h3data.recording.assets.scenes import scene_records
 from h3data.recording.records import JOINTS
 from h3data.replay.recorded_robots import check_recorded_robots
-from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, assign, each_of, make_policy
+from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, each_of, make_policy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
@@ -31,7 +27,6 @@ from sim_kinematic.tasks.play import Columns, WorldRollout
 from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, finished
 from sim_kinematic.tasks.registry import find_task, task_registry
 from sim_kinematic.tasks.resimulation import (
-    Difference,
     Verification,
     compared,
     header_from,
@@ -44,7 +39,6 @@ from sim_kinematic.tasks.resimulation import (
 )
 from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.task import Task
-from sim_kinematic.tasks.wander import Wander
 
 
 def task_of(recording: Recording) -> Task:
@@ -78,11 +72,11 @@ def verify(recording: Recording) -> Verification:
     Raises:
         H3DataError: The recording cannot be simulated again, because its task is not installed or data is missing.
     """
-    task, episode = _restored(recording)
+    task, episode = restored(recording)
     steps = len(recording)
     if not steps:
         return Verification(steps=0, difference=None)
-    own = _assigned(
+    own = assigned_policies(
         task,
         episode,
         recording,
@@ -91,61 +85,10 @@ def verify(recording: Recording) -> Verification:
         recorded=task.control.decided(recording, task.codec.policy_names(recording)),
     )
     policies = task.control.recorded_policies(recording, episode, own, until=steps)
-    played = _Played(
+    played = Played(
         task, episode, policies, recording, steps=steps, keeps_people=is_counterfactual(recording), since=steps
     )
     return compared(recording, played.columns, played.ended)
-
-
-def verify_episode(recording: Recording, task: Task, episode: Episode, people: Any = None) -> Verification:
-    """Play an episode with the robots' recorded decisions, and compare the outcome with the recording as `verify` does.
-
-    Nothing else of the recording is used, so a recording of another episode differs, and so does one in which people did not
-    decide as their policy does. The names of bodies and the results that the task adds at the end (`EpisodeCodec.final_info`)
-    are compared too.
-
-    Args:
-        recording: The recording to check.
-        task: The task.
-        episode: The episode that it should be.
-        people: Policy of people, a name or an object (default: the task's own).
-
-    Raises:
-        H3DataError: The robots' decisions are not in the recording.
-    """
-    steps, named = len(recording), task.codec.policy_names(recording)
-    if [agent.kind for agent in recording.agents] != [member.kind for member in episode.roster]:
-        raise InputError(
-            f"Expected a recording of {', '.join(member.kind for member in episode.roster)}, got "
-            f"{', '.join(agent.kind for agent in recording.agents)}.",
-            code="H3-TASK-072",
-        )
-    assigned = assign(task, episode, {} if people is None else {"human": people})
-    for mine, agent in zip(assigned, recording.agents, strict=True):
-        _repeat_crowd(mine, recording, agent.name)
-    own = [
-        # robots repeat recorded decisions, so their policies need not be at hand
-        mine if mine.kind == "human" else AssignedPolicy(None, name, mine.kind)
-        for mine, name in zip(assigned, named, strict=True)
-    ]
-    repeated = task.control.recorded_policies(recording, episode, own, until=steps)
-    policies = [mine if mine.kind == "human" else again for mine, again in zip(own, repeated, strict=True)]
-    played = _Played(task, episode, policies, recording, steps=steps, keeps_people=False, since=steps)
-    found = compared(recording, played.columns, played.ended)
-    if not found.equal:
-        return found
-    # with what people bring along, which no description of the episode has
-    bodies = [body.name for body in (*scene_records(episode.scene)[1], *played.play.things)]
-    if (recorded_bodies := [body.name for body in recording.bodies]) != bodies:
-        wrong = Difference(step=steps, column="bodies", recorded=repr(recorded_bodies), simulated=repr(bodies))
-        return Verification(steps=steps, difference=wrong)
-    # through JSON, as the recorded info has been: tuples are lists there
-    results = json.loads(msgspec.json.encode(task.codec.final_info(episode, played.play, own)))
-    for name, value in results.items():
-        if (recorded := recording.episode.info.get(name)) != value:
-            wrong = Difference(step=steps, column=f"info.{name}", recorded=repr(recorded), simulated=repr(value))
-            return Verification(steps=steps, difference=wrong)
-    return found
 
 
 def resume(
@@ -189,62 +132,15 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
     return _continued(recording, step, {} if policy is None else {"robot": policy}, keeps_people=True)
 
 
-class AddedTime(NamedTuple):
-    """Time by which robots delay one person."""
-
-    person: str
-    goals: int
-    """Number of consecutive goals that the person leaves both in the recording and without robots."""
-    seconds: float | None
-    """Time at which the person leaves the last of these goals, minus the time without robots [s]; None without such a
-    goal."""
-
-
-def added_time(recording: Recording) -> list[AddedTime]:
-    """Return the time by which robots delay each person of a crowd, from a second simulation without them.
-
-    The second simulation has the seed and starts of the recording, so the robots cause the difference. People are
-    compared by the goals that they go to in both simulations, up to the first one that differs because of a robot.
-
-    Raises:
-        InputError: The recording cannot be simulated again (see `verify`), people are not of a crowd, or there is no
-            robot.
-    """
-    task, episode = _restored(recording)
-    robots, people = _numbers(recording, "robot"), _numbers(recording, "human")
-    policies = _assigned(task, episode, recording, {}, strict=False, recorded=robots)
-    alone = [policies[k] for k in people]
-    if not robots or not alone or not all(isinstance(one.policy, CrowdPolicy) for one in alone):
-        raise InputError(
-            "Expected a recording of robots among people of a crowd, whose partner is orca or social_force, got "
-            f"{', '.join(one.name for one in policies)}.",
-            code="H3-TASK-081",
-        )
-    # by the rules of wander, which need no robot and end nothing before the time limit
-    play = WorldRollout.of(Wander(), episode.only(*people), alone, measure=False)
-    run(play, steps=len(recording))
-    rows = []
-    for p, k in enumerate(people):
-        here, there = (
-            [(event.step, event.detail) for event in events if event.kind == "walks_to" and event.agent == number]
-            for events, number in ((recording.events, k), (play.events, p))
-        )
-        pairs = list(takewhile(lambda pair: pair[0][1] == pair[1][1], zip(here, there, strict=False)))
-        # the first event is the departure from the start, which is no goal
-        late = (pairs[-1][0][0] - pairs[-1][1][0]) * recording.episode.dt_ns * 1e-9 if len(pairs) > 1 else None
-        rows.append(AddedTime(recording.agents[k].name, max(len(pairs) - 1, 0), late))
-    return rows
-
-
 # --- one continued run ------------------------------------------------------------------------------------------------
 def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps_people: bool) -> Recording:
     require_step(recording, step)
-    task, episode = _restored(recording)
+    task, episode = restored(recording)
     codec = task.codec
     codec.check_changes(recording, chosen)
     # who plays does not change these facts, so the recorded ones save computing them again
     codec.load_precomputed(episode, recording.episode.info)
-    assigned = _assigned(task, episode, recording, chosen, strict=True, keeps_people=keeps_people)
+    assigned = assigned_policies(task, episode, recording, chosen, strict=True, keeps_people=keeps_people)
     named = codec.policy_names(recording)
     changed = [one.name != name for one, name in zip(assigned, named, strict=True)]
     if not keeps_people and any(
@@ -256,7 +152,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
             code="H3-TASK-090",
         )
     policies = task.control.recorded_policies(recording, episode, assigned, until=step, changed=changed)
-    played = _Played(
+    played = Played(
         task,
         episode,
         policies,
@@ -265,7 +161,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
         keeps_people=keeps_people,
         since=step,
     )
-    robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in _numbers(recording, "robot"))]
+    robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in numbers_of(recording, "robot"))]
     # people keep their recorded tracks, which are rounded, so measurements of them may differ in the last bits
     require_recorded(
         recording, step, played.columns, played.ended, robots if keeps_people and not task.control.has_skills else None
@@ -288,7 +184,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
 
 
 @dataclass(init=False)
-class _Played:
+class Played:
     """A recording's episode played by policies, with people on their recorded tracks if they keep them."""
 
     def __init__(
@@ -335,7 +231,7 @@ class _Played:
 
     def _keep(self, task: Task, recording: Recording, rows: int) -> None:
         """Store the columns, skills and events of recorded people, as far as the task selects them."""
-        people = _numbers(recording, "human")
+        people = numbers_of(recording, "human")
         # in social_nav ``sim.`` are the goal and the leg of the person's script
         prefixes = ("sim.", *(f"agent_{k}." for k in people))
         kept = {
@@ -364,7 +260,12 @@ class _Played:
             self.events = tuple(sorted([*theirs, *self.events], key=lambda event: event.step))
 
 
-def _restored(recording: Recording) -> tuple[Task, Episode]:
+def restored(recording: Recording) -> tuple[Task, Episode]:
+    """Return a recording's task and episode.
+
+    Raises:
+        InputError: The recording lacks columns, or is an export to LeRobot.
+    """
     if recording.episode.is_lerobot_export:
         raise InputError(
             "Demonstrations exported to LeRobot cannot be simulated again, or verified: they lack the last row of each episode "
@@ -380,7 +281,7 @@ def _restored(recording: Recording) -> tuple[Task, Episode]:
         return task, task.codec.restore(recording, lambda radius, height: scene_and_map(file, radius, height))
 
 
-def _assigned(
+def assigned_policies(
     task: Task,
     episode: Episode,
     recording: Recording,
@@ -402,7 +303,7 @@ def _assigned(
             if choice is None:
                 with names_from_data():
                     result.append(_policy(task, episode, k, named[k]))
-                _repeat_crowd(result[-1], recording, member.name)
+                repeat_crowd(result[-1], recording, member.name)
             else:
                 result.append(_policy(task, episode, k, choice))
         except H3DataError as fault:
@@ -418,7 +319,7 @@ def _assigned(
     return result
 
 
-def _repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> None:
+def repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> None:
     """Let a person of a crowd decide by the version of the rules that the recording holds for them."""
     if isinstance(assigned.policy, CrowdPolicy):
         people = recording.episode.info.get("people")
@@ -445,5 +346,6 @@ def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:
     return None
 
 
-def _numbers(recording: Recording, kind: str) -> list[int]:
+def numbers_of(recording: Recording, kind: str) -> list[int]:
+    """Return the numbers of a recording's agents of one kind."""
     return [k for k, agent in enumerate(recording.agents) if agent.kind == kind]

@@ -26,7 +26,6 @@ from sim_kinematic.tasks.recorder import Recorder, Sink
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.world import Command
 
-
 MOST_CHOICES = 1000
 """Number of choices of an agent in one step at which an episode ends with an error."""
 

@@ -97,7 +97,7 @@ class ReplayCommand:
         return Outcome(text="\n".join(lines), data=data, exit_code=0 if equal == len(rows) else 1)
 
     def _added_time(self) -> Outcome:
-        from sim_kinematic.tasks.resume import added_time
+        from h3data_pipelines.validation.added_time import added_time
 
         rows = [
             {"recording": source.name, **person._asdict()}

@@ -274,7 +274,7 @@ def test_a_recording_of_company_says_who_they_are_and_verifies(model: CrowdModel
 
 @pytest.mark.slow
 def test_added_time_is_small_for_who_passes_the_robot_and_not_for_who_is_scared():
-    from sim_kinematic.tasks.resume import added_time
+    from h3data_pipelines.validation.added_time import added_time
 
     def play(partner: str, policy: str = "still", seed: int = 6):
         chosen = {"human": partner, "robot": policy}
