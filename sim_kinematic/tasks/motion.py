@@ -309,7 +309,7 @@ class MotionTeam(Team):
         if not names:
             return {}
         context, who = self._context(agent), (self.play.task.name, self.play.world.roster[agent].name)
-        exact = {name: np.asarray(sensed(name, sensors[name], context, *who), np.float64) for name in names}
+        exact: dict[str, Array] = {n: np.asarray(sensed(n, sensors[n], context, *who), np.float64) for n in names}
         for name, values in exact.items():
             if values.shape[:1] != (self.play.world.worlds,):
                 raise InputError(
