@@ -105,9 +105,9 @@ class Endless(Wander):
 
 def test_a_controller_that_never_has_enough_is_named_with_its_task(home: Scene, free: FreeSpace) -> None:
     play = rollout(Endless(), Endless().episode(home, seed=1, free=free))
-    with pytest.raises(InputError, match=r"endless.* robot .*MotionController") as refused:
+    with pytest.raises(InputError, match="H3-TASK-091") as refused:
         run(play, steps=1)
-    assert refused.value.code == "H3-TASK-091"
+    assert all(word in str(refused.value) for word in ("endless", "robot", "MotionController"))
 
 
 class Crooked(Wander):
@@ -122,6 +122,6 @@ class Crooked(Wander):
 
 def test_a_sensor_of_other_rows_than_worlds_is_named_with_task_and_agent(home: Scene, free: FreeSpace) -> None:
     play = rollout(Crooked(), Crooked().episode(home, seed=1, free=free))
-    with pytest.raises(InputError, match=r"egomotion.* robot .*crooked") as refused:
+    with pytest.raises(InputError, match="H3-TASK-092") as refused:
         play.observe(0, 0, ["egomotion"])
-    assert refused.value.code == "H3-TASK-092"
+    assert all(word in str(refused.value) for word in ("crooked", "robot", "egomotion"))
