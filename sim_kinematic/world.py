@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
@@ -38,7 +37,7 @@ from sim_kinematic.contact.frames import body_frames, body_shapes, root_pose, sh
 from sim_kinematic.contact.outlines import legs_at, shins
 from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, PersonContact, WalkerSpec
-from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState, pool_people
+from sim_kinematic.motion.state import AgentState, HumanState, RobotState, StateBlock, WorldState
 from sim_kinematic.motion.step import discs_at, drive_robots, first_not_finite
 
 Rows = NDArray[np.intp]
@@ -157,20 +156,13 @@ class World:
             objects=objects,
             scene_joints=scene_joints,
         )
-        self.state, self.people = pool_people(state)
-        """State of the worlds now, and all people of all worlds in one state (`pool_people`)."""
-        self.before, self.people_before = pool_people(state.copy())
+        self.now, self.was = StateBlock.of(state), StateBlock.of(state)
+        """Blocks of memory with the state now and one step ago; steps change their arrays in place."""
+        self.state, self.people = self.now.state, self.now.people
+        """State of the worlds now, and all people of all worlds in one state (`StateBlock.people`)."""
+        self.before, self.people_before = self.was.state, self.was.people
         """State of the worlds one step ago, and all people of all worlds in one state."""
         self.start = state.copy()
-        # paired once: steps change these arrays in place and never replace them. People's come as one.
-        self._moments = tuple(
-            (before, now)
-            for old, new in (
-                (replace(self.before, people=()), replace(self.state, people=())),
-                (self.people_before, self.people),
-            )
-            for before, now in zip(old.arrays(), new.arrays(), strict=True)
-        )
         self.clips = tuple(
             member.body.clip_for_speed(self.walker.speed_mps) if isinstance(member.body, Humanoid) else -1
             for member in self.roster
@@ -254,8 +246,7 @@ class World:
                 nothing has moved.
         """
         commands = self._checked(commands)
-        for before, now in self._moments:
-            before[...] = now
+        self.was.block[:] = self.now.block
         posed = {k: command for k, command in enumerate(commands) if isinstance(command, PoseCommand)}
         if posed:
             self._move_posed(posed)
@@ -314,16 +305,6 @@ class World:
             drawn = self.people if len(those) == len(self.people.heading) else self.people.take(those)
             draw_arms(drawn, self.floors[w], self.roster[k].body, self.walker.arms)  # type: ignore[arg-type]
             self.people.arms[those] = drawn.arms
-
-    def all_agents(self, name: str, *, before: bool = False) -> Array:
-        """Return an array of all agents, [W, A, ...], by the name of the field, such as ``xz``.
-
-        With ``before``, the values are those of one step ago.
-        """
-        people = vars(self.people_before if before else self.people)[name]
-        people = people.reshape(len(self.state.people), self.worlds, *people.shape[1:])
-        robots = [vars(own)[name] for own in (self.before if before else self.state).robots]
-        return np.ascontiguousarray(np.swapaxes(np.concatenate([*(own[None] for own in robots), people]), 0, 1))
 
     def heights(self, xz: Array) -> Array:
         """Return the height of the floor [W] [m] at a place ``(x, z)`` in each world [W, 2]."""
@@ -432,9 +413,9 @@ class World:
                     f"{list(values.shape)}{infinite}.",
                     code="H3-SIM-053",
                 )
-            checked.append(
-                command._replace(points=values) if isinstance(command, PoseCommand) else type(command)(values)
-            )
+            if values is not command[0]:
+                command = command._replace(points=values) if isinstance(command, PoseCommand) else type(command)(values)
+            checked.append(command)
         return checked
 
     def _discs_beside(self, agent: int, agents: Sequence[AgentState], *, legs: bool = False) -> Array:
@@ -484,19 +465,28 @@ class World:
 
 
 @kernel(error_model="numpy")
-def _near_pairs(xz, shares, rows, pairs, gates):
-    """Mark the pairs [P, 2] of agents at ``xz`` [W, A, 2] that are at most ``gates`` [P] apart in the worlds ``rows`` [n].
+def _near_pairs(xz, seats, hands, rows, pairs, gates, near):
+    """Mark pairs [P, 2] of agents at ``xz`` [A, W, 2] that are at most ``gates`` [P] apart in the worlds ``rows`` [n].
 
-    Gates are wider where one lies or reaches for something, as ``shares`` [W, A] above 1 say.
+    Gates are wider where one of the people, the last agents, lies or reaches for something, as their ``seats`` and
+    ``hands`` say (`HumanState`). Marks go to ``near`` [n, P], which are false; returns whether there are any.
     """
-    near = np.zeros((len(rows), len(pairs)), np.bool_)
+    some, worlds, robots = False, xz.shape[1], xz.shape[0] - len(seats) // xz.shape[1]
     for n in range(len(rows)):
         w = rows[n]
         for p in range(len(pairs)):
+            gate, wide = gates[p], False
+            for k in pairs[p]:
+                if k >= robots:
+                    row = (k - robots) * worlds + w
+                    wide |= seats[row, 1] > 1.0
+                    for hand in range(hands.shape[1]):
+                        wide |= hands[row, hand, 3] != 0.0
+            gate += LYING_M * wide
             a, b = pairs[p, 0], pairs[p, 1]
-            wider = LYING_M * max(shares[w, a] > 1.0, shares[w, b] > 1.0)
-            near[n, p] = math.hypot(xz[w, a, 0] - xz[w, b, 0], xz[w, a, 1] - xz[w, b, 1]) <= gates[p] + wider
-    return near
+            near[n, p] = math.hypot(xz[a, w, 0] - xz[b, w, 0], xz[a, w, 1] - xz[b, w, 1]) <= gate
+            some |= near[n, p]
+    return some
 
 
 class _PairContacts:
@@ -537,11 +527,10 @@ class _PairContacts:
     def touching(self, world: World, rows: Rows) -> NDArray[np.bool_]:
         if not self._pairs:
             return np.zeros((len(rows), 0), np.bool_)
-        xz = world.all_agents("xz")
-        shares, robots = np.zeros(xz.shape[:2]), len(world.state.robots)
-        wide = np.where(world.people.hands[..., 3].any(1), 2.0, world.people.seat[:, 1])
-        shares[:, robots:] = wide.reshape(-1, world.worlds).T
-        result = _near_pairs(xz, shares, rows, self._numbers, self._gates)
+        result, robots = np.zeros((len(rows), len(self._pairs)), np.bool_), len(world.state.robots)
+        own = world.people
+        if not _near_pairs(world.now.xz, own.seat, own.hands, rows, self._numbers, self._gates, result):
+            return result
         # people of one body beside robots of one body are posed together
         asked: dict[RobotHumanContact | None, list[int]] = {}
         for p in np.flatnonzero(result.any(0)).tolist():

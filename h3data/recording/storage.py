@@ -127,7 +127,7 @@ class RemotePath:
 
     def open_input(self) -> pa.NativeFile:
         """Return the file opened for random access: only the ranges read are fetched."""
-        with _allowed("read", self):
+        with allowed("read", self):
             return self.filesystem.open_input_file(self.key)
 
     def read_bytes(self) -> bytes:
@@ -139,7 +139,7 @@ class RemotePath:
         """Upload a whole file; in an object store it becomes visible when it is complete."""
         if self.scheme == "mock":
             self.filesystem.create_dir(self.parent.key)  # unlike an object store, it needs its folders
-        with _allowed("write", self), self.filesystem.open_output_stream(self.key) as stream:
+        with allowed("write", self), self.filesystem.open_output_stream(self.key) as stream:
             if isinstance(source, bytes):
                 stream.write(source)
             else:
@@ -147,7 +147,7 @@ class RemotePath:
 
     def unlink(self) -> None:
         """Delete the file."""
-        with _allowed("delete", self):
+        with allowed("delete", self):
             self.filesystem.delete_file(self.key)
 
     @property
@@ -169,7 +169,7 @@ class RemotePath:
         return RemotePath(self.scheme, path, self.query)
 
     def _info(self) -> pafs.FileInfo:
-        with _allowed("read", self):
+        with allowed("read", self):
             return self.filesystem.get_file_info(self.key)
 
     def _listed(self, *, recursive: bool = True) -> list[str]:
@@ -177,7 +177,7 @@ class RemotePath:
         # one request for a whole tree: object stores have no folders, and take tens of milliseconds for each
         # answer
         selector = pafs.FileSelector(self.key, recursive=recursive, allow_not_found=True)
-        with _allowed("list", self):
+        with allowed("list", self):
             found = self.filesystem.get_file_info(selector)
         return sorted(info.path[len(self.key) :].strip("/") for info in found)
 
@@ -254,21 +254,6 @@ def open_binary(path: AnyPath) -> IO[bytes] | pa.NativeFile:
     return path.open_input() if isinstance(path, RemotePath) else open(path, "rb")
 
 
-def sizes_below(folder: AnyPath) -> dict[str, int]:
-    """Return the sizes [bytes] of all files below a folder by relative path, sorted.
-
-    The result is empty if the folder does not exist.
-    """
-    if isinstance(folder, Path):
-        paths = sorted(path for path in folder.rglob("*") if path.is_file())
-        return {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
-    selector = pafs.FileSelector(folder.key, recursive=True, allow_not_found=True)
-    with _allowed("list", folder):
-        found = folder.filesystem.get_file_info(selector)
-    sizes = {info.path[len(folder.key) :].strip("/"): info.size for info in found if info.type == pafs.FileType.File}
-    return dict(sorted(sizes.items()))
-
-
 def remove_tree(folder: AnyPath) -> None:
     """Delete a folder and everything in it, if it exists."""
     if not folder.exists():
@@ -276,7 +261,7 @@ def remove_tree(folder: AnyPath) -> None:
     if isinstance(folder, Path):
         shutil.rmtree(folder)
     else:
-        with _allowed("delete", folder):
+        with allowed("delete", folder):
             folder.filesystem.delete_dir(folder.key)
 
 
@@ -293,7 +278,7 @@ def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
 
 
 @contextmanager
-def _allowed(to: str, path: RemotePath) -> Iterator[None]:
+def allowed(to: str, path: RemotePath) -> Iterator[None]:
     """Explain those errors of a store that a user can correct; all others pass.
 
     Raises:

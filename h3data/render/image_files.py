@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import os
 
 import numpy as np
@@ -63,14 +62,6 @@ def write_jpg(path: str | os.PathLike[str], image: NDArray[np.uint8], *, quality
         )
     with part_file(path) as part:
         part.write_bytes(data.tobytes())
-
-
-def jpeg_data_uri(image: NDArray[np.uint8], *, quality: int = 80) -> str:
-    """Return an image, RGB uint8 [H, W, 3], as a JPEG in a ``data:`` URI for HTML pages."""
-    import cv2
-
-    _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
 
 
 def write_depth_png(path: str | os.PathLike[str], depth: NDArray[np.floating]) -> None:

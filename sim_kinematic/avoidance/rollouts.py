@@ -16,12 +16,13 @@ from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from h3data.scene.freespace._distance_field import corner_distances, field_at
 from h3data.scene.freespace._points import SNAP_M
+from h3data.scene.freespace._sdf import sample_sdf
 from h3data.scene.freespace._visibility import nearest_free
 from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.velocity import least_gap
+from sim_kinematic.avoidance.velocity import gap_along
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.motion.step import drive_base, velocities
+from sim_kinematic.motion.step import drive_facing, velocities
 
 
 class Rollouts(NamedTuple):
@@ -138,7 +139,11 @@ def _roll_out(
     look_steps,
     ends,
 ):
-    branch, branch_x, branch_z, branch_heading, branch_gap = 0, x0, z0, heading0, math.inf
+    rules, begun = (
+        (offsets, radius, iterations, tolerance, touch, most),
+        (heading0, math.cos(heading0), math.sin(heading0)),
+    )
+    branch, branch_x, branch_z, branch_facing, branch_gap = 0, x0, z0, begun, math.inf
     for n in range(len(commands)):
         speed, _, turn = velocities(commands[n, :2], limits)
         then = min(max(commands[n, 3], -limits[3]), 1.0) * limits[0]
@@ -147,38 +152,25 @@ def _roll_out(
             for k in range(3):  # by element: to copy slices, numba compiles an error text for 2 s
                 ends[n, k] = ends[n - 1, k]
         else:
-            branch, branch_x, branch_z, branch_heading, branch_gap = 0, x0, z0, heading0, math.inf
-        first, x, z, heading, gap = branch, branch_x, branch_z, branch_heading, branch_gap
+            branch, branch_x, branch_z, branch_facing, branch_gap = 0, x0, z0, begun, math.inf
+        first, x, z, facing, gap = branch, branch_x, branch_z, branch_facing, branch_gap
         straight = False
         for step in range(first, max(len(person), look_steps)):
             if step >= commands[n, 2] and not straight:
-                branch, branch_x, branch_z, branch_heading, branch_gap = step, x, z, heading, gap
+                branch, branch_x, branch_z, branch_facing, branch_gap = step, x, z, facing, gap
                 speed, turn, straight = then, 0.0, True
-            x, z, heading, _ = drive_base(
-                sdf,
-                origin,
-                cell,
-                x,
-                z,
-                heading,
-                speed,
-                0.0,
-                turn,
-                dt,
-                offsets,
-                radius,
-                iterations,
-                tolerance,
-                touch,
-                most,
-            )
+            turned = facing
+            if turn != 0.0:
+                heading = facing[0] + turn * dt
+                turned = heading, math.cos(heading), math.sin(heading)
+            x, z, facing, _ = drive_facing(sdf, origin, cell, x, z, facing, turned, speed, 0.0, turn, dt, rules)
             # the gap is looked at for as long as the person is foreseen, the pose only for the next
             # ``look_steps``
             if step < len(person):
-                now = least_gap(x, z, heading, person[step, 0], person[step, 1], hull, reach)
+                now = gap_along(x, z, facing[1], facing[2], person[step, 0], person[step, 1], hull, reach)
                 gap = min(gap, now + doubt * step * dt)
             if step < look_steps:
-                ends[n, 0], ends[n, 1], ends[n, 2] = x, z, heading
+                ends[n, 0], ends[n, 1], ends[n, 2] = x, z, facing[0]
         ends[n, 3] = gap
 
 
@@ -235,15 +227,20 @@ def _roll_out_to(
     goal_x, goal_z, island = nearest_free(graph, goal_x, goal_z, SNAP_M)
     goals = np.array([[goal_x, goal_z]])[: int(island >= 0)]
     corner = corner_distances(graph, goals)
+    last_x, last_z, left, dx, dz = math.nan, math.nan, math.inf, 1.0, 0.0
     for n in range(len(commands)):
         x, z, heading, _ = ends[n]
         ends[n, 3] = math.inf
         # no way is shorter than the straight line; the table of corners is in float32
         if math.hypot(goal_x - x, goal_z - z) - 1e-4 >= least:
             continue
-        ends[n, 3], ends[n, 0], ends[n, 1] = field_at(graph, corner, goals, x, z, SNAP_M)
-        if math.isinf(ends[n, 3]):  # there is no direction
-            ends[n, 0], ends[n, 1] = 1.0, 0.0
+        # trials that only turn end at one place
+        if x != last_x or z != last_z:
+            last_x, last_z = x, z
+            left, dx, dz = field_at(graph, corner, goals, x, z, SNAP_M)
+            if math.isinf(left):  # there is no direction
+                dx, dz = 1.0, 0.0
+        ends[n, 3], ends[n, 0], ends[n, 1] = left, dx, dz
         off = abs((math.atan2(-ends[n, 1], ends[n, 0]) - heading + math.pi) % (2 * math.pi) - math.pi)
         least = min(least, ends[n, 3] + turn_cost * off)
     return ends
@@ -253,9 +250,18 @@ def straight_walk(
     free: FreeSpace, xz: NDArray[np.float64], velocity: NDArray[np.float64], steps: int
 ) -> NDArray[np.float64]:
     """Return the positions [steps, 2] [m] of a person walking from ``xz`` [2] at a velocity [2] [m/s] up to a wall."""
-    walk = xz + velocity * (np.arange(1, steps + 1)[:, None] * STEP_S)
-    if velocity.any():
-        blocked = np.flatnonzero(free.signed_distance(walk) < free.radius_m - AVOIDANCE.wall_m)
-        if len(blocked):
-            walk[blocked[0] :] = walk[blocked[0] - 1] if blocked[0] else xz
+    walk = np.empty((steps, 2))
+    (x, z), (vx, vz), room = xz.tolist(), velocity.tolist(), free.radius_m - AVOIDANCE.wall_m
+    free.entries(_straight_walk, free.sdf, free.origin, free.cell_m, x, z, vx, vz, float(room), STEP_S, walk)
     return walk
+
+
+@kernel(error_model="numpy")
+def _straight_walk(sdf, origin, cell, x0, z0, vx, vz, room, dt, walk):
+    x, z, blocked = x0, z0, vx == 0.0 and vz == 0.0
+    for step in range(len(walk)):
+        if not blocked:
+            next_x, next_z = x0 + vx * ((step + 1) * dt), z0 + vz * ((step + 1) * dt)
+            blocked = sample_sdf(sdf, origin, cell, next_x, next_z) < room
+            x, z = (x, z) if blocked else (next_x, next_z)
+        walk[step, 0], walk[step, 1] = x, z

@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 from h3data.plugins import Registry
 from h3data.scene import FreeSpace
 from h3data.scene.floor_heights import way_to_stairs
@@ -42,7 +42,12 @@ def wrap_angle(angle):
 @kernel(error_model="numpy", inline="always")  # called, it would count references: `drive_base` is 15% faster
 def least_clearance(sdf, origin, cell, x, z, heading, offsets):
     """Return the smallest signed distance [m] from the centres of the base's discs to an obstacle."""
-    c, s = math.cos(heading), math.sin(heading)
+    return clearance_along(sdf, origin, cell, x, z, math.cos(heading), math.sin(heading), offsets)
+
+
+@kernel(error_model="numpy", inline="always")
+def clearance_along(sdf, origin, cell, x, z, c, s, offsets):
+    """Return the result of `least_clearance` for a heading whose cosine ``c`` and sine ``s`` are known."""
     least = math.inf
     for offset in offsets:
         least = min(least, sample_sdf(sdf, origin, cell, x + c * offset, z - s * offset))
@@ -50,14 +55,8 @@ def least_clearance(sdf, origin, cell, x, z, heading, offsets):
 
 
 @kernel(error_model="numpy", inline="always")
-def is_clear(sdf, origin, cell, x, z, heading, offsets, radius):
-    """Return whether all discs of the base keep ``radius`` [m] from every obstacle, faster than `least_clearance`."""
-    return are_clear(sdf, origin, cell, x, z, math.cos(heading), math.sin(heading), offsets, radius)
-
-
-@kernel(error_model="numpy", inline="always")
 def are_clear(sdf, origin, cell, x, z, c, s, offsets, radius):
-    """Return the result of `is_clear` for a heading whose cosine ``c`` and sine ``s`` are known."""
+    """Return whether all discs of a base keep ``radius`` [m] from every obstacle, faster than `clearance_along`."""
     for offset in offsets:  # noqa: SIM110  (numba compiles no generators)
         if sample_sdf(sdf, origin, cell, x + c * offset, z - s * offset) < radius:
             return False
@@ -65,12 +64,12 @@ def are_clear(sdf, origin, cell, x, z, c, s, offsets, radius):
 
 
 @kernel(error_model="numpy", inline="always")
-def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
+def push_out(sdf, origin, cell, x, z, c, s, offsets, radius, iterations):
     """Move a base until its discs keep their radius from obstacles, as far as possible.
 
-    Returns ``(x, z, clearance)``: the new position, and the `least_clearance` there.
+    ``c`` and ``s`` are the cosine and the sine of its heading. Returns ``(x, z, clearance)``: the new position, and the
+    `least_clearance` there.
     """
-    c, s = math.cos(heading), math.sin(heading)
     for _ in range(iterations):
         free, least = True, math.inf
         # one disc after the other, each from where the last one left the base: pushed at once, two would push
@@ -89,7 +88,7 @@ def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
                     free = False
         if free:
             return x, z, least
-    return x, z, least_clearance(sdf, origin, cell, x, z, heading, offsets)
+    return x, z, clearance_along(sdf, origin, cell, x, z, c, s, offsets)
 
 
 @kernel(error_model="numpy")
@@ -109,7 +108,7 @@ def integrate_along(x, z, heading, c, s, speed, lateral, turn, dt):
     return x + (c * speed - s * lateral) * dt, z - (s * speed + c * lateral) * dt, heading + turn * dt
 
 
-@kernel(error_model="numpy")
+@kernel_part(borrows=True, error_model="numpy")
 def drive_base(
     sdf, origin, cell, x, z, heading, speed, lateral, turn, dt, offsets, radius, iterations, tolerance, touch, most
 ):
@@ -117,33 +116,47 @@ def drive_base(
 
     ``most`` is the farthest that the base may get [m].
     """
-    tx, tz, new_heading = integrate(x, z, heading, speed, lateral, turn, dt)
+    rules, turned = (offsets, radius, iterations, tolerance, touch, most), heading + turn * dt
+    old, new = (heading, math.cos(heading), math.sin(heading)), (turned, math.cos(turned), math.sin(turned))
+    x, z, (heading, _, _), touched = drive_facing(sdf, origin, cell, x, z, old, new, speed, lateral, turn, dt, rules)
+    return x, z, heading, touched
+
+
+@kernel(error_model="numpy", inline="always")
+def drive_facing(sdf, origin, cell, x, z, old, new, speed, lateral, turn, dt, rules):
+    """Return the result of `drive_base`, with headings as tuples of angle, cosine and sine: now, and after the turn."""
+    offsets, radius, iterations, tolerance, touch, most = rules
+    _, c, s = new
+    tx, tz, _ = integrate_along(x, z, old[0], old[1], old[2], speed, lateral, turn, dt)
     limit = radius - tolerance
+    sx, sz, clearance = push_out(sdf, origin, cell, tx, tz, c, s, offsets, radius, iterations)
+    if clearance >= radius and sx == tx and sz == tz:  # to ask before costs bases at walls a tenth of their speed
+        return tx, tz, new, False
     # a push-out may not carry the base farther than the command itself could have
     reach = math.hypot(speed, lateral) * dt + 2.0 * radius * abs(turn) * dt + tolerance
-    sx, sz, clearance = push_out(sdf, origin, cell, tx, tz, new_heading, offsets, radius, iterations)
-    if clearance >= radius and sx == tx and sz == tz:  # to ask before costs bases at walls a tenth of their speed
-        return tx, tz, new_heading, False
     # smaller displacements come from the grid and are no contact
     touched = math.hypot(sx - tx, sz - tz) > touch
     far = math.hypot(sx - x, sz - z)
     if most < far <= reach:
         # sliding may not be faster than driving: cut back along the line, then asked again for room
         sx, sz, touched = x + (sx - x) * (most / far), z + (sz - z) * (most / far), True
-        clearance = least_clearance(sdf, origin, cell, sx, sz, new_heading, offsets)
+        clearance = clearance_along(sdf, origin, cell, sx, sz, c, s, offsets)
     if clearance >= limit and far <= reach:
-        return sx, sz, new_heading, touched
+        return sx, sz, new, touched
     # what has no room is tried again with less: without the turn, then only the turn, then neither
-    sx, sz, clearance = push_out(sdf, origin, cell, tx, tz, heading, offsets, radius, iterations)
+    if new[0] == old[0]:
+        return x, z, old, True
+    _, c, s = old
+    sx, sz, clearance = push_out(sdf, origin, cell, tx, tz, c, s, offsets, radius, iterations)
     far = math.hypot(sx - x, sz - z)
     if most < far <= reach:
         sx, sz = x + (sx - x) * (most / far), z + (sz - z) * (most / far)
-        clearance = least_clearance(sdf, origin, cell, sx, sz, heading, offsets)
+        clearance = clearance_along(sdf, origin, cell, sx, sz, c, s, offsets)
     if clearance >= limit and far <= reach:
-        return sx, sz, heading, True
-    if is_clear(sdf, origin, cell, x, z, new_heading, offsets, limit):
-        return x, z, new_heading, True
-    return x, z, heading, True
+        return sx, sz, old, True
+    if are_clear(sdf, origin, cell, x, z, new[1], new[2], offsets, limit):
+        return x, z, new, True
+    return x, z, old, True
 
 
 @kernel(error_model="numpy")

@@ -101,7 +101,7 @@ def slide_along_walls(sdf, origin, cell, radius, x, z, nx, nz, most):
     The step is at most ``most`` [m] long. Returns ``(x, z, moved, clearance)``: the position, the length that obstacles
     allowed, and the least clearance [m].
     """
-    sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 0.0, (0.0,), radius, 6)
+    sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 1.0, 0.0, (0.0,), radius, 6)
     moved = math.hypot(sx - x, sz - z)
     # being pushed out of a wall must not carry anybody farther than they walk
     share = min(most / moved, 1.0) if moved > 0.0 else 1.0

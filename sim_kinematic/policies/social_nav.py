@@ -66,6 +66,8 @@ _STEERING = np.array(
     ]
 )
 """Commands for the next steps, as `roll_out` takes them. Each turn is tried for half and for all of them."""
+_APPROACHING = np.concatenate([np.ones((1, 4)), _STEERING])
+"""Those commands after one at full speed whose turn depends on the goal."""
 _BACKING = np.array(
     [(-1.0, t, n, -1.0) for t in _LEVELS for n in ((8, 16, EXPERT.escape_steps) if t else (EXPERT.escape_steps,))]
 )
@@ -158,9 +160,10 @@ def _approach(view: SocialNavView, spec: BaseSpec, goal: NDArray[np.float64], ga
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
     error, turn = _steer(view, next_waypoint(view._replace(human_xz=goal), spec), spec)
-    commands = np.concatenate([np.array([(1.0, turn, _steps_to_turn(error, spec), 1.0)]), _STEERING])
+    commands = _APPROACHING.copy()
+    commands[0, 1:3] = turn, _steps_to_turn(error, spec)
     if gap < 1.0:  # tried as slowly as it will be done
-        commands[:, [0, 3]] = np.clip(commands[:, [0, 3]], -gap, gap)
+        commands[:, ::3] = np.minimum(np.maximum(commands[:, ::3], -gap), gap)
     left, off = roll_out_to(
         view.free,
         spec,
@@ -171,7 +174,7 @@ def _approach(view: SocialNavView, spec: BaseSpec, goal: NDArray[np.float64], ga
         look_steps=EXPERT.steer_steps,
         turn_cost_m=EXPERT.turn_cost_m,
     )
-    forward, turn = commands[np.argmin(left + EXPERT.turn_cost_m * off), :2].tolist()
+    forward, turn = commands[(left + EXPERT.turn_cost_m * off).argmin(), :2].tolist()
     return Velocity(forward, turn, "follow" if view.met else "find")
 
 

@@ -70,9 +70,10 @@ class VelocityControl(Control):
         Raises:
             InputError: the choice is malformed.
         """
-        if isinstance(choice, GaitAction):
+        walks = play.world.roster[number].kind == "human"
+        if walks and isinstance(choice, GaitAction):
             return choice
-        if not isinstance(choice, WaypointAction | PoseAction | RecordedPose):
+        if not (walks and isinstance(choice, WaypointAction | PoseAction | RecordedPose)):
             return self.checked(play, number, choice)
         place = np.append(choice.xz, getattr(choice, "heading", 0.0))
         if place.shape != (3,) or not np.isfinite(place).all():
@@ -188,6 +189,9 @@ def command_of(choices: Sequence[Any], name: str) -> Command:
         InputError: A choice has an unknown type.
     """
     first = choices[0]
+    if hasattr(first, "forward"):
+        # rounded, so that a replay of the recorded velocities moves the agent by the same bits
+        return DriveCommand(np.array([[c.forward, c.turn] for c in choices], np.float32).astype(np.float64))
     if isinstance(first, WaypointAction):
         return WaypointCommand(_rows([choice.xz for choice in choices]))
     if isinstance(first, PoseAction):
@@ -209,10 +213,7 @@ def command_of(choices: Sequence[Any], name: str) -> Command:
         return RecordedPoseCommand(
             _rows([choice.xz for choice in choices]), np.array([c.heading for c in choices]), posture
         )
-    if not hasattr(first, "forward"):
-        raise InputError(f"Expected {name} to choose a Velocity or WaypointAction, got {first!r}.", code="H3-TASK-069")
-    # rounded, so that a replay of the recorded velocities moves the agent by the same bits
-    return DriveCommand(np.array([[choice.forward, choice.turn] for choice in choices], np.float32).astype(np.float64))
+    raise InputError(f"Expected {name} to choose a Velocity or WaypointAction, got {first!r}.", code="H3-TASK-069")
 
 
 def _rows(values: list[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -308,7 +309,15 @@ class MotionTeam(Team):
         if not names:
             return {}
         context, who = self._context(agent), (self.play.task.name, self.play.world.roster[agent].name)
-        return {name: np.asarray(sensed(name, sensors[name], context, *who), np.float64) for name in names}
+        exact: dict[str, Array] = {n: np.asarray(sensed(n, sensors[n], context, *who), np.float64) for n in names}
+        for name, values in exact.items():
+            if values.shape[:1] != (self.play.world.worlds,):
+                raise InputError(
+                    f"The sensor {name!r} of {who[1]} must return an array [{self.play.world.worlds}, ...], one row for each "
+                    f"world of {who[0]}, got shape {list(values.shape)}.",
+                    code="H3-TASK-092",
+                )
+        return exact
 
     def _context(self, agent: int) -> SensorContext:
         """Return the inputs of an agent's sensors in all worlds."""
@@ -353,81 +362,74 @@ class MotionTeam(Team):
             "speed_mps": play.spec.human.speed_mps,
         }
 
-    def snapshot(self) -> list[Sequence[float]]:
-        """Return the agents' places, motions, commands and words, hands, joints and things as plain numbers."""
-        parts: list[Sequence[float]] = []
-        world, skills = self.play.world, self.play.task.control.skills
-        # all people at once, and Python floats, which take half the time of NumPy's
-        now, was = world.people, world.people_before.distance[:: world.worlds].tolist()
-        pose = (now.xz, now.heading, now.distance, now.set_off, now.blend, now.arms, now.seat)
-        people = zip(*(values[:: world.worlds].tolist() for values in pose), was, strict=True)
-        for k, (member, own) in enumerate(zip(world.roster, world.state.agents, strict=True)):
-            words = skills.get(member.kind, ())
+    def snapshot(self) -> tuple[NDArray[np.uint8], list[float]]:
+        """Return the agents' state as bytes, followed by the robots' motions and words and the people's last distances."""
+        world, skills, values = self.play.world, self.play.task.control.skills, []
+        for member, own, command, controller in zip(
+            world.roster, world.before.agents, self._commands, self.controllers, strict=True
+        ):
             if isinstance(own, RobotState):
-                (x, z), heading = own.xz[0].tolist(), own.heading.item(0)
-                command, word = self._commands[k], self.controllers[k].word
-                forward, turn = command[0][0, :2].tolist() if isinstance(command, DriveCommand) else (0.0, 0.0)
-                code = words.index(word) if word in words else -1
-                parts.append((x, z, heading, own.contact.item(0), forward, turn, code))
+                words, word = skills.get(member.kind, ()), controller.word
+                values += command[0][0, :2].tolist() if isinstance(command, DriveCommand) else (0.0, 0.0)
+                values.append(words.index(word) if word in words else -1)
             else:
-                (x, z), heading, distance, set_off, blend, arms, seat, before = next(people)
-                code = words.index("walk" if distance > before else "turn") if words else -1
-                # a walk begins anew where the person set off, so the clip's phase counts from there
-                parts.append((x, z, heading, distance - set_off, blend, *arms, *seat, code))
-        hands = [now.hands[(k - len(world.state.robots)) * world.worlds].ravel().tolist() for k in self._handling()]
-        return [*parts, *hands, world.state.joint_pos[0].tolist(), world.state.object_pose[0].ravel().tolist()]
+                values.append(own.distance.item(0))
+        return world.now.first(), values
 
     def _handling(self) -> list[int]:
         """Return numbers of the people who may handle things."""
         return [k for k, policy in enumerate(self.play.policies) if works(policy) is not None]
 
     def columns(
-        self, snapshots: Sequence[list[Sequence[float]]]
+        self, snapshots: Sequence[tuple[NDArray[np.uint8], list[float]]]
     ) -> tuple[Columns, list[Array], NDArray[np.bool_] | None]:
         """Return the columns of robots that drive and of people in motion clips."""
-        # as `snapshot` writes them, [T, n] each
-        parts = [np.array(part, np.float64) for part in zip(*snapshots, strict=True)]
-        steps, floor = len(snapshots), self.play.episode.free
+        past, values = self.play.world.now.past([block for block, _ in snapshots]), [row for _, row in snapshots]
+        extra = iter(np.array(values, np.float64).T)
+        steps, floor, skills = len(snapshots), self.play.episode.free, self.play.task.control.skills
         result: Columns = {}
-        places, contact = [], []
-        for k, member in enumerate(self.play.world.roster):
+        for k, (member, own) in enumerate(zip(self.play.world.roster, past.agents, strict=True)):
             agent, body = f"agent_{k}.", member.body
-            own = parts[k].T
-            xz = np.stack([own[0], own[1]], -1)
-            places.append(xz)
-            result[agent + "base_pose"] = root_pose(body, xz, own[2], floor).astype(np.float32)
-            if isinstance(body, Robot):
-                contact.append(own[3].astype(np.bool_))
+            result[agent + "base_pose"] = root_pose(body, own.xz, own.heading, floor).astype(np.float32)
+            if isinstance(own, RobotState):
                 # arms of robots that only drive stay at rest
-                result[agent + "joint_pos"] = np.tile(body.rest.astype(np.float32), (steps, 1))
-                result[agent + "action"] = np.stack([own[4], own[5]], -1).astype(np.float32)
+                result[agent + "joint_pos"] = np.tile(body.rest.astype(np.float32), (steps, 1))  # type: ignore[union-attr]
+                result[agent + "action"] = np.stack([next(extra), next(extra)], -1).astype(np.float32)
+                code = next(extra)
             else:
                 result |= {agent + name: values for name, values in self._motion_columns(k, body, own).items()}
+                words = skills.get(member.kind, ())
+                code = [
+                    words.index("walk" if walks else "turn") if words else -1 for walks in own.distance > next(extra)
+                ]
             result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
-            if self.play.task.control.skills.get(member.kind):
-                result[agent + "skill"] = own[-1].astype(np.int32)
-        *hands, joints, things = parts[len(places) :]
-        for k, part in zip(self._handling(), hands, strict=True):
-            result[f"agent_{k}.motion_hands"] = part.reshape(-1, 4, 4).astype(np.float32)
-        if joints.size:
-            result[JOINTS] = joints.astype(np.float32)
-        if things.size:
-            result["object_pose"] = things.reshape(steps, -1, 7).astype(np.float32)
-        return result, places, np.any(contact, axis=0) if contact else None
+            if skills.get(member.kind):
+                result[agent + "skill"] = np.asarray(code).astype(np.int32)
+        for k in self._handling():
+            result[f"agent_{k}.motion_hands"] = past.agents[k].hands.astype(np.float32)  # type: ignore[union-attr]
+        if past.joint_pos.size:
+            result[JOINTS] = past.joint_pos.astype(np.float32)
+        if past.object_pose.size:
+            result["object_pose"] = past.object_pose.astype(np.float32)
+        contact = [own.contact for own in past.robots]
+        return result, [own.xz for own in past.agents], np.any(contact, axis=0) if contact else None
 
-    def _motion_columns(self, k: int, body: Humanoid, own: Array) -> Columns:
-        """Return the columns of a person's motion clip, of the numbers [10, T] in their snapshots."""
+    def _motion_columns(self, k: int, body: Humanoid, own: HumanState) -> Columns:
+        """Return the columns of a person's motion clip, of their states at T moments."""
         clip = self.play.world.clips[k]
         walk = body.clips[clip]
         columns: Columns = {
-            "motion_id": np.full(own.shape[1], clip, np.int32),
-            "motion_phase": ((walk.start_phase + own[3] / walk.stride_m) % 1.0).astype(np.float32),
-            "motion_blend": own[4].astype(np.float32),
+            "motion_id": np.full(len(own.blend), clip, np.int32),
+            # a walk begins anew where the person set off, so the clip's phase counts from there
+            "motion_phase": ((walk.start_phase + (own.distance - own.set_off) / walk.stride_m) % 1.0).astype(
+                np.float32
+            ),
+            "motion_blend": own.blend.astype(np.float32),
         }
         if self.play.spec.human.arms is not None:
-            columns["motion_arms"] = np.stack([own[5], own[6]], -1).astype(np.float32)
+            columns["motion_arms"] = own.arms.astype(np.float32)
         if self.play.policies and getattr(self.play.policies[k].policy, "sits", False):
-            columns["motion_seat"] = np.stack([own[7], own[8]], -1).astype(np.float32)
+            columns["motion_seat"] = own.seat.astype(np.float32)
         return columns
 
 

@@ -109,11 +109,11 @@ class WorldRollout:
         """Controllers of the agents (`sim_kinematic.tasks.control.Team`)."""
         self._checked, self._checks = False, measure and not task.control.has_skills
         self._judgement: dict[str, type] = {}
-        """Columns of the judgement that are recorded, with their dtypes."""
+        """Arrays of the outcome that are recorded as metrics, with their dtypes."""
         if task.codec.records_judgement or task.control.has_skills:
-            self._judgement["metrics.reward"] = np.float32
+            self._judgement["reward"] = np.float32
         if task.codec.records_judgement:
-            self._judgement["metrics.success"] = np.bool_
+            self._judgement["success"] = np.bool_
         self._sensors: dict[int, AgentSensors] = {}
         """Sensors of the agents for which observations were requested."""
 
@@ -364,10 +364,10 @@ class WorldRollout:
             ) from error
 
     # --- recording ----------------------------------------------------------------------------------------------------
-    def snapshot(self) -> tuple[Any, dict[str, Any], NDArray[np.bool_]]:
+    def snapshot(self) -> tuple[Any, list[Any], NDArray[np.bool_]]:
         """Return the state of the first world after a step, from which `columns` makes blocks."""
-        judged = {name: values[0] for name, values in self.outcome.columns.items()}
-        judged |= {name: getattr(self.outcome, name.partition(".")[2])[0] for name in self._judgement}
+        outcome, columns = self.outcome, self.outcome.columns
+        judged = [*(columns[name][0] for name in self.task.columns), *(vars(outcome)[n][0] for n in self._judgement)]
         return self.team.snapshot(), judged, self.world.touching[0]
 
     def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
@@ -382,13 +382,13 @@ class WorldRollout:
             touched |= contact_columns([m.kind for m in self.world.roster], np.array([row[2] for row in snapshots]))
         if contact is not None:
             touched["metrics.robot_contact"] = contact
-        judged, paid = (
-            {name: np.array([row[1][name] for row in snapshots]).astype(dtype) for name, dtype in some.items()}
-            for some in (self.task.columns, self._judgement)
-        )
+        types = {**self.task.columns, **{f"metrics.{name}": dtype for name, dtype in self._judgement.items()}}
+        values = zip(types.items(), zip(*(row[1] for row in snapshots), strict=True), strict=True)
+        measured = {name: np.array(rows).astype(dtype) for (name, dtype), rows in values}
+        judged = {name: measured.pop(name) for name in self.task.columns}
         # in the order of earlier versions, which files keep
-        parts = (own, judged, touched, paid) if self.task.control.has_skills else (own, touched, judged, paid)
-        for part in parts:
+        parts = (own, judged, touched) if self.task.control.has_skills else (own, touched, judged)
+        for part in (*parts, measured):
             result |= part
         return result
 

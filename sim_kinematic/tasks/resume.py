@@ -7,21 +7,18 @@ reproduce the recorded states bit for bit.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from h3data.errors import H3DataError, InputError, UntrustedNameError
 from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
-from h3data.recording.assets.scenes import scene_records
 from h3data.recording.records import JOINTS
 from h3data.replay.recorded_robots import check_recorded_robots
-from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, assign, each_of, make_policy
+from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, each_of, make_policy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
@@ -30,7 +27,6 @@ from sim_kinematic.tasks.play import Columns, WorldRollout
 from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, finished
 from sim_kinematic.tasks.registry import find_task, task_registry
 from sim_kinematic.tasks.resimulation import (
-    Difference,
     Verification,
     compared,
     header_from,
@@ -89,61 +85,10 @@ def verify(recording: Recording) -> Verification:
         recorded=task.control.decided(recording, task.codec.policy_names(recording)),
     )
     policies = task.control.recorded_policies(recording, episode, own, until=steps)
-    played = _Played(
+    played = Played(
         task, episode, policies, recording, steps=steps, keeps_people=is_counterfactual(recording), since=steps
     )
     return compared(recording, played.columns, played.ended)
-
-
-def verify_episode(recording: Recording, task: Task, episode: Episode, people: Any = None) -> Verification:
-    """Play an episode with the robots' recorded decisions, and compare the outcome with the recording as `verify` does.
-
-    Nothing else of the recording is used, so a recording of another episode differs, and so does one in which people did not
-    decide as their policy does. The names of bodies and the results that the task adds at the end (`EpisodeCodec.final_info`)
-    are compared too.
-
-    Args:
-        recording: The recording to check.
-        task: The task.
-        episode: The episode that it should be.
-        people: Policy of people, a name or an object (default: the task's own).
-
-    Raises:
-        H3DataError: The robots' decisions are not in the recording.
-    """
-    steps, named = len(recording), task.codec.policy_names(recording)
-    if [agent.kind for agent in recording.agents] != [member.kind for member in episode.roster]:
-        raise InputError(
-            f"Expected a recording of {', '.join(member.kind for member in episode.roster)}, got "
-            f"{', '.join(agent.kind for agent in recording.agents)}.",
-            code="H3-TASK-072",
-        )
-    assigned = assign(task, episode, {} if people is None else {"human": people})
-    for mine, agent in zip(assigned, recording.agents, strict=True):
-        _repeat_crowd(mine, recording, agent.name)
-    own = [
-        # robots repeat recorded decisions, so their policies need not be at hand
-        mine if mine.kind == "human" else AssignedPolicy(None, name, mine.kind)
-        for mine, name in zip(assigned, named, strict=True)
-    ]
-    repeated = task.control.recorded_policies(recording, episode, own, until=steps)
-    policies = [mine if mine.kind == "human" else again for mine, again in zip(own, repeated, strict=True)]
-    played = _Played(task, episode, policies, recording, steps=steps, keeps_people=False, since=steps)
-    found = compared(recording, played.columns, played.ended)
-    if not found.equal:
-        return found
-    # with what people bring along, which no description of the episode has
-    bodies = [body.name for body in (*scene_records(episode.scene)[1], *played.play.things)]
-    if (recorded_bodies := [body.name for body in recording.bodies]) != bodies:
-        wrong = Difference(step=steps, column="bodies", recorded=repr(recorded_bodies), simulated=repr(bodies))
-        return Verification(steps=steps, difference=wrong)
-    # through JSON, as the recorded info has been: tuples are lists there
-    results = json.loads(msgspec.json.encode(task.codec.final_info(episode, played.play, own)))
-    for name, value in results.items():
-        if (recorded := recording.episode.info.get(name)) != value:
-            wrong = Difference(step=steps, column=f"info.{name}", recorded=repr(recorded), simulated=repr(value))
-            return Verification(steps=steps, difference=wrong)
-    return found
 
 
 def resume(
@@ -207,7 +152,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
             code="H3-TASK-090",
         )
     policies = task.control.recorded_policies(recording, episode, assigned, until=step, changed=changed)
-    played = _Played(
+    played = Played(
         task,
         episode,
         policies,
@@ -239,7 +184,7 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
 
 
 @dataclass(init=False)
-class _Played:
+class Played:
     """A recording's episode played by policies, with people on their recorded tracks if they keep them."""
 
     def __init__(
@@ -354,7 +299,7 @@ def assigned_policies(
             if choice is None:
                 with names_from_data():
                     result.append(_policy(task, episode, k, named[k]))
-                _repeat_crowd(result[-1], recording, member.name)
+                repeat_crowd(result[-1], recording, member.name)
             else:
                 result.append(_policy(task, episode, k, choice))
         except H3DataError as fault:
@@ -370,7 +315,7 @@ def assigned_policies(
     return result
 
 
-def _repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> None:
+def repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> None:
     """Let a person of a crowd decide by the version of the rules that the recording holds for them."""
     if isinstance(assigned.policy, CrowdPolicy):
         people = recording.episode.info.get("people")

@@ -26,6 +26,9 @@ from sim_kinematic.tasks.recorder import Recorder, Sink
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.world import Command
 
+MOST_CHOICES = 1000
+"""Number of choices of an agent in one step at which an episode ends with an error."""
+
 
 class DecisionLoop:
     """Loop over the turns of an episode, which pauses when an agent must decide and at the end of each step."""
@@ -35,6 +38,8 @@ class DecisionLoop:
         self._commands: list[Command | None] = [None] * len(play.world.roster)
         self._turn = 0
         """Number of agents that have already made this step."""
+        self._choices = 0
+        """Number of choices that the agent whose turn it is has made in this step without moving."""
         self._begun = self._ended = False
         """True if the agent whose turn it is has observed the others; true if the rules have ended the episode."""
         self.over = False
@@ -94,7 +99,15 @@ class DecisionLoop:
         self._commands[number] = controller.step()
         if controller.status != "choosing":
             team.end_turn(number)
-            self._turn, self._begun = self._turn + 1, False
+            self._turn, self._begun, self._choices = self._turn + 1, False, 0
+            return
+        self._choices += 1
+        if self._choices == MOST_CHOICES:
+            raise InputError(
+                f"In {self._play.task.name}, {self._play.world.roster[number].name} has made {MOST_CHOICES:,} choices in "
+                f"step {self._play.step}, and its {type(controller).__name__} still asks for another.",
+                code="H3-TASK-091",
+            )
 
 
 def rollout(task: Task, episode: Episode, policies: Assigned | None = None, *, measure: bool = True) -> WorldRollout:

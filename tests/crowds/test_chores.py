@@ -31,6 +31,7 @@ from h3data_exporters.posing import posed_parts
 from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
 from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_pipelines.benchmark.verification import _other_facts as other_facts
+from h3data_pipelines.benchmark.verification import verify_episode
 from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.roster import make_roster
@@ -40,7 +41,7 @@ from sim_kinematic.crowd.roles import read_role, routines
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.policies.crowd.people import CrowdPolicy
-from sim_kinematic.tasks.resume import counterfactual, resume, verify, verify_episode
+from sim_kinematic.tasks.resume import counterfactual, resume, verify
 from sim_kinematic.tasks.resume import restored_episode as restored
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.wander import Wander

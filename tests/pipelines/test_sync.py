@@ -12,7 +12,7 @@ import pytest
 import h3data
 from h3data.errors import FormatError, InputError
 from h3data.recording import Dataset
-from h3data.recording.storage import place, sizes_below
+from h3data.recording.storage import place
 from h3data_pipelines.cli import main
 from h3data_pipelines.hub import syncing
 from tests.object_store import bucket
@@ -34,7 +34,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def contents(root: Any) -> dict[str, bytes]:
     at = place(root)
-    return {name: (at / name).read_bytes() for name in sizes_below(at)}
+    return {name: (at / name).read_bytes() for name in syncing.sizes_below(at)}
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: Any, code: int = 0) -> Any:

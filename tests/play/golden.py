@@ -114,7 +114,7 @@ def walk_beside() -> dict[str, Any]:
     for forward, turn in commands:
         was = base
         drives = forward * 2.5, 0.0, turn * 2.5, 1 / 30, offsets, radius, 6, 7e-4, 1e-5, np.inf
-        at = drive_base(sdf, origin, cell, *was, *drives)
+        at = drive_base.py_func(sdf, origin, cell, *was, *drives)
         *apart, _ = keep_apart(sdf, origin, cell, was[0], was[1], at[0], at[1], others, radius, radius - 7e-4)
         base = apart[0], apart[1], at[2]
         places.append([round(float(value), 9) for value in base])

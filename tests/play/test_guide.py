@@ -14,7 +14,7 @@ from h3data_homes import HomeSpec, build_home
 from h3data_play.guide import FLOOR_SNAP_M, NEAR_M, Guide
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 from sim_kinematic.motion.state import RobotState
-from sim_kinematic.motion.step import drive_robots, is_clear
+from sim_kinematic.motion.step import drive_robots, least_clearance
 
 FREE = FreeSpace.from_scene(build_home(HomeSpec(seed=3)))
 PERSON = BaseSpec(max_speed_mps=1.3, max_turn_rad_s=2.0, disc_offsets_m=(0.0,))
@@ -62,7 +62,7 @@ def test_a_long_base_gets_around_the_corners_of_a_home(seed: int) -> None:
     """It comes as near as its discs fit: a point beside a wall is not for the middle of a base 1.2 m long."""
     rng, offsets = np.random.default_rng(seed), np.array(HOME_BASE.disc_offsets_m)
     goal, start, heading = *FREE.sample(rng, 2), 0.0
-    while not is_clear(FREE.sdf, FREE.origin, FREE.cell_m, *start, heading, offsets, HOME_BASE.disc_radius_m):
+    while least_clearance(FREE.sdf, FREE.origin, FREE.cell_m, *start, heading, offsets) < HOME_BASE.disc_radius_m:
         start, heading = FREE.sample(rng, 1)[0], rng.uniform(-np.pi, np.pi)
     assert np.hypot(*(led(HOME_BASE, start, heading, goal) - goal)) < np.abs(offsets).max() + 0.05
 

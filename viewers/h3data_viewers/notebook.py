@@ -16,9 +16,9 @@ import numpy as np
 from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data.progress import progress
 from h3data.recording import Episodes, Recording
-from h3data.render.image_files import jpeg_data_uri
 from h3data.replay import CameraTrack, Replay, camera_at, camera_track
 from h3data.replay.third_person import third_person_at
+from h3data_viewers.html_report.pictures import jpeg_data_uri
 from h3data_viewers.rerun.cameras import scaled
 from h3data_viewers.templates import render
 

@@ -10,7 +10,7 @@ import json
 import random
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +37,7 @@ from h3data_pipelines.jobs.result_files import RESULTS, NoProgress
 if TYPE_CHECKING:
     from h3data_pipelines.jobs.episodes import Job
     from sim_kinematic.tasks.episode import Episode
+    from sim_kinematic.tasks.resimulation import Verification
     from sim_kinematic.tasks.task import Task
 
 MOST_SHOWN = 20
@@ -273,7 +274,6 @@ def _wrong_with(recording: Recording, base: Job, episode: Episode, rows: Sequenc
     """Return the faults of one recording: another episode, another course, or other metrics than ``rows`` say."""
     from h3data.metrics import measure
     from h3data_pipelines.jobs.evaluations import plan_of
-    from sim_kinematic.tasks.resume import verify_episode
 
     task = base.found_task
     if other := _other_facts(recording, task, episode):
@@ -291,6 +291,62 @@ def _wrong_with(recording: Recording, base: Job, episode: Episode, rows: Sequenc
             first = wrong[0]
             faults.append(f"{first}: measured again {values.get(first)}, its results say {row['values'][first]}.")
     return faults
+
+
+def verify_episode(recording: Recording, task: Task, episode: Episode, people: Any = None) -> Verification:
+    """Play an episode with the robots' recorded decisions, and compare the outcome with the recording as `verify` does.
+
+    Nothing else of the recording is used, so a recording of another episode differs, and so does one in which people did not
+    decide as their policy does. The names of bodies and the results that the task adds at the end (`EpisodeCodec.final_info`)
+    are compared too.
+
+    Args:
+        recording: The recording to check.
+        task: The task.
+        episode: The episode that it should be.
+        people: Policy of people, a name or an object (default: the task's own).
+
+    Raises:
+        H3DataError: The robots' decisions are not in the recording.
+    """
+    from h3data.recording.assets.scenes import scene_records
+    from sim_kinematic.policies.assignment import AssignedPolicy, assign
+    from sim_kinematic.tasks.resimulation import Difference, compared
+    from sim_kinematic.tasks.resume import Played, repeat_crowd
+
+    steps, named = len(recording), task.codec.policy_names(recording)
+    if [agent.kind for agent in recording.agents] != [member.kind for member in episode.roster]:
+        raise InputError(
+            f"Expected a recording of {', '.join(member.kind for member in episode.roster)}, got "
+            f"{', '.join(agent.kind for agent in recording.agents)}.",
+            code="H3-TASK-072",
+        )
+    assigned = assign(task, episode, {} if people is None else {"human": people})
+    for mine, agent in zip(assigned, recording.agents, strict=True):
+        repeat_crowd(mine, recording, agent.name)
+    own = [
+        # robots repeat recorded decisions, so their policies need not be at hand
+        mine if mine.kind == "human" else AssignedPolicy(None, name, mine.kind)
+        for mine, name in zip(assigned, named, strict=True)
+    ]
+    repeated = task.control.recorded_policies(recording, episode, own, until=steps)
+    policies = [mine if mine.kind == "human" else again for mine, again in zip(own, repeated, strict=True)]
+    played = Played(task, episode, policies, recording, steps=steps, keeps_people=False, since=steps)
+    found = compared(recording, played.columns, played.ended)
+    if not found.equal:
+        return found
+    # with what people bring along, which no description of the episode has
+    bodies = [body.name for body in (*scene_records(episode.scene)[1], *played.play.things)]
+    if (recorded_bodies := [body.name for body in recording.bodies]) != bodies:
+        wrong = Difference(step=steps, column="bodies", recorded=repr(recorded_bodies), simulated=repr(bodies))
+        return replace(found, difference=wrong)
+    # through JSON, as the recorded info has been: tuples are lists there
+    results = json.loads(msgspec.json.encode(task.codec.final_info(episode, played.play, own)))
+    for name, value in results.items():
+        if (recorded := recording.episode.info.get(name)) != value:
+            wrong = Difference(step=steps, column=f"info.{name}", recorded=repr(recorded), simulated=repr(value))
+            return replace(found, difference=wrong)
+    return found
 
 
 def _other_facts(recording: Recording, task: Task, episode: Episode) -> list[str]:

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Any
 
+import pyarrow.fs as pafs
 import tyro
 
 from h3data.commands.arguments import result_of
@@ -17,7 +18,7 @@ from h3data.errors import FormatError, InputError, suggest_keywords
 from h3data.files import part_file, size_text
 from h3data.progress import progress
 from h3data.recording.parquet.files import is_dataset, write_atomic
-from h3data.recording.storage import AnyPath, RemotePath, open_binary, place, sizes_below
+from h3data.recording.storage import AnyPath, RemotePath, allowed, open_binary, place
 from h3data.terminal import counted
 from h3data_pipelines.hub.checksums import file_sha256
 
@@ -233,3 +234,18 @@ def _require_a_copy(source: AnyPath, target: AnyPath, there: dict[str, int], siz
         raise InputError(
             f"The target holds other episodes than the source; --force replaces them: {target}", code="H3-HUB-012"
         )
+
+
+def sizes_below(folder: AnyPath) -> dict[str, int]:
+    """Return the sizes [bytes] of all files below a folder by relative path, sorted.
+
+    The result is empty if the folder does not exist.
+    """
+    if isinstance(folder, Path):
+        paths = sorted(path for path in folder.rglob("*") if path.is_file())
+        return {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
+    selector = pafs.FileSelector(folder.key, recursive=True, allow_not_found=True)
+    with allowed("list", folder):
+        found = folder.filesystem.get_file_info(selector)
+    sizes = {info.path[len(folder.key) :].strip("/"): info.size for info in found if info.type == pafs.FileType.File}
+    return dict(sorted(sizes.items()))

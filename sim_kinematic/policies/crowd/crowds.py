@@ -64,9 +64,8 @@ class Moment(NamedTuple):
     @classmethod
     def of(cls, world: World) -> Moment:
         """Return the places of all agents now and one step ago."""
-        xz, heading, was_xz, was_heading = (
-            world.all_agents(name, before=before) for before in (False, True) for name in ("xz", "heading")
-        )
+        moments = (values for at in (world.now, world.was) for values in (at.xz, at.heading))
+        xz, heading, was_xz, was_heading = (np.ascontiguousarray(np.swapaxes(values, 0, 1)) for values in moments)
         discs, count = [np.zeros((2, len(xz), 0, 3))], len(world.state.robots)
         for k, base in enumerate(world.bases[:count]):
             moments = np.concatenate([xz[:, k], was_xz[:, k]]), np.concatenate([heading[:, k], was_heading[:, k]])

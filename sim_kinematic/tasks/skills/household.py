@@ -58,6 +58,7 @@ from sim_kinematic.sensing.sight import LOOK_STEPS, Places, Sight
 from sim_kinematic.sensing.table import Sensor
 from sim_kinematic.tasks.control import Columns, Team
 from sim_kinematic.tasks.rearrange.episode import body_indices
+from sim_kinematic.tasks.rules.predicates import is_object_at
 from sim_kinematic.tasks.skills.controller import IDLE_SKILLS, SkillController
 from sim_kinematic.tasks.skills.errands import errands_of
 from sim_kinematic.world import Command
@@ -474,7 +475,7 @@ class Household(Team):
         where = np.where(mine[:, None], objects.poses[:, :3], sight.where[agent])
         # what the agent last saw in its own hand has left it, unless it still holds it
         held = np.where(mine, agent, np.where(sight.held[agent] == agent, NOBODY, sight.held[agent]))
-        near = np.linalg.norm(where - objects.goals, axis=1) < self.episode.spec.at_goal_m
+        near = is_object_at(where, objects.goals, distance_m=self.episode.spec.at_goal_m)
         return (
             where,
             held,

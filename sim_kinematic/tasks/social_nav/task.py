@@ -210,7 +210,8 @@ class SocialNav(Task):
             state.success |= worth.success
             reward, ends = worth.reward, worth.ends
         else:
-            reward, ends = np.zeros(play.world.worlds), state.collides & play.spec.end_on_collision
+            # of the same type as the array: a Python bool would take ten times as long
+            reward, ends = np.zeros(play.world.worlds), state.collides & np.bool_(play.spec.end_on_collision)
         return StepOutcome(
             reward=reward,
             terminated=ends,

@@ -22,7 +22,7 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import least_gap
 from sim_kinematic.motion.spec import HOME_BASE
 from sim_kinematic.motion.state import RobotState
-from sim_kinematic.motion.step import drive_robots, is_clear
+from sim_kinematic.motion.step import drive_robots, least_clearance
 
 NOBODY = np.zeros((0, 3))
 EMPTY = -9
@@ -108,7 +108,8 @@ def test_every_maneuver_can_be_driven(home: FreeSpace, seed: int) -> None:
     start, goal = home.sample(rng, 2)
     heading = rng.uniform(-np.pi, np.pi)
     offsets = np.array(HOME_BASE.disc_offsets_m)
-    if not is_clear(home.sdf, home.origin, home.cell_m, *start, heading, offsets, HOME_BASE.disc_radius_m):
+    room = least_clearance(home.sdf, home.origin, home.cell_m, *start, heading, offsets)
+    if room < HOME_BASE.disc_radius_m:
         return
     commands = plan_maneuver(home, HOME_BASE, start, heading, goal, NOBODY)
     assert (np.abs(commands) <= 1 + 1e-9).all()
@@ -140,7 +141,7 @@ def test_an_end_that_a_base_could_take_is_never_ruled_out(home: FreeSpace, seed:
     offsets, radius = np.array(HOME_BASE.disc_offsets_m), HOME_BASE.disc_radius_m - HOME_BASE.clearance_tolerance_m
     left = np.full(grid.room.shape, 9.0)
     left[tuple(((at - grid.origin) / AVOIDANCE.cell_m).astype(int))] = 0.0
-    fits = is_clear(home.sdf, home.origin, home.cell_m, *at, heading, offsets, radius)
+    fits = least_clearance(home.sdf, home.origin, home.cell_m, *at, heading, offsets) >= radius
     fits &= least_gap(*at, heading, *disc[0, :2], np.array(hull_of(HOME_BASE)), disc[0, 2]) >= 0
     assert not fits or is_near(home, at, left, bearing, facing, disc)
 

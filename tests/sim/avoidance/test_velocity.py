@@ -21,7 +21,7 @@ from sim_kinematic.avoidance.velocity import (
     try_command,
 )
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
-from sim_kinematic.motion.step import drive_robots, integrate, is_clear, least_clearance
+from sim_kinematic.motion.step import drive_robots, integrate, least_clearance
 from tests.sim.avoidance.commands import NOTHING_HELD, Seen, kept_clear, onlookers, reference, standing
 
 COMMANDS = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
@@ -85,7 +85,7 @@ def test_a_roll_out_stops_where_the_floor_ends(seed: int, command: tuple, ends: 
         speed = 0.0 if abs(speed) * step * STEP_S > length else speed
         turn = 0.0 if abs(turn) * (step - 0.5) * STEP_S > arc else turn
         there = integrate(x, z, heading, speed, 0.0, turn, STEP_S)
-        x, z, heading = there if is_clear(*grid, *there, offsets, radius) else (x, z, heading)
+        x, z, heading = there if least_clearance(*grid, *there, offsets) >= radius else (x, z, heading)
     assert given[:3] == (x, z, heading)
 
 

@@ -18,7 +18,7 @@ from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_han
 from sim_kinematic.contact import FclScene, MovingShapes, collide
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, ArmSpec, BaseSpec
 from sim_kinematic.motion.state import WorldState
-from sim_kinematic.motion.step import drive_robots, is_clear, least_clearance
+from sim_kinematic.motion.step import are_clear, drive_robots, least_clearance
 
 DEEPEST_M = 2e-3
 ARM = ArmSpec()
@@ -140,8 +140,9 @@ def test_both_questions_of_clearance_agree(spec: BaseSpec, home: int, seed: int,
     _, free = floor(home)
     rng, offsets = np.random.default_rng(seed), np.array(spec.disc_offsets_m)
     for (x, z), heading in zip(free.sample(rng, 300), rng.uniform(-np.pi, np.pi, 300), strict=True):
-        where = free.sdf, free.origin, free.cell_m, x, z, heading, offsets
-        assert is_clear(*where, radius) == (least_clearance(*where) >= radius)
+        where = free.sdf, free.origin, free.cell_m, x, z
+        asked = are_clear(*where, np.cos(heading), np.sin(heading), offsets, radius)
+        assert asked == (least_clearance(*where, heading, offsets) >= radius)
 
 
 @pytest.mark.parametrize("slide", ["strict", "habitat"])

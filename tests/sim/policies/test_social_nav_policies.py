@@ -16,6 +16,7 @@ from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import build_from_walkable
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.avoidance.rollouts import roll_out, roll_out_to, straight_walk
+from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots, least_clearance
@@ -159,6 +160,11 @@ def test_who_walks_stops_at_the_wall(free: FreeSpace) -> None:
         turned = np.abs(wrap_angle(np.arctan2(*(walk - xz).T) - np.arctan2(*velocity)))
         assert (turned[np.hypot(*(walk - xz).T) > 1e-6] < 1e-6).all()
         assert (straight_walk(free, xz, np.zeros(2), 9) == xz).all()
+        straight = xz + velocity * (np.arange(1, 61)[:, None] * STEP_S)
+        blocked = np.flatnonzero(free.signed_distance(straight) < free.radius_m - AVOIDANCE.wall_m)
+        if len(blocked):
+            straight[blocked[0] :] = straight[blocked[0] - 1] if blocked[0] else xz
+        np.testing.assert_array_equal(walk, straight)
 
 
 @pytest.mark.slow

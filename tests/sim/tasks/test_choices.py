@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -12,9 +13,13 @@ from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.policy import PoseAction, Velocity, WaypointAction
+from sim_kinematic.sensing.table import Sensor
+from sim_kinematic.tasks.control import Control
+from sim_kinematic.tasks.motion import MotionTeam, VelocityControl
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.runner import rollout, run
 from sim_kinematic.tasks.social_nav import SocialNav
+from sim_kinematic.tasks.wander import Wander
 
 NAN = float("nan")
 MALFORMED = [
@@ -23,6 +28,9 @@ MALFORMED = [
     (SocialNav, "robot", ("fast", "left")),
     (SocialNav, "robot", Velocity(np.zeros(2), 0.0)),  # type: ignore[arg-type]
     (SocialNav, "robot", None),
+    # choices of the other agent
+    (SocialNav, "robot", WaypointAction(np.zeros(2))),
+    (SocialNav, "robot", PoseAction(np.zeros(2), 0.0)),
     (SocialNav, "human", WaypointAction(np.array([NAN, 0.0]))),
     (SocialNav, "human", PoseAction(np.zeros(3), 0.0)),
     (Rearrange, "robot", Action("fly")),
@@ -73,3 +81,47 @@ def test_a_pair_counts_as_a_velocity(home: Scene, free: FreeSpace) -> None:
     play = rollout(SocialNav(), episode, {"robot": Says((0.0, 0.5))})
     run(play, steps=1)
     assert play.step == 1
+
+
+class Asking(MotionTeam):
+    """A team whose controllers never have enough."""
+
+    def __init__(self, play: Any) -> None:
+        super().__init__(play)
+        for controller in self.controllers:
+            controller.start = lambda choice: None
+            controller.step = lambda: None
+
+
+class AskingControl(VelocityControl):
+    def team(self, play: Any) -> Asking:
+        return Asking(play)
+
+
+class Endless(Wander):
+    name: ClassVar[str] = "endless"
+    control: ClassVar[Control] = AskingControl()
+
+
+def test_a_controller_that_never_has_enough_is_named_with_its_task(home: Scene, free: FreeSpace) -> None:
+    play = rollout(Endless(), Endless().episode(home, seed=1, free=free))
+    with pytest.raises(InputError, match="H3-TASK-091") as refused:
+        run(play, steps=1)
+    assert all(word in str(refused.value) for word in ("endless", "robot", "MotionController"))
+
+
+class Crooked(Wander):
+    """A task with a sensor of other rows than worlds."""
+
+    name: ClassVar[str] = "crooked"
+
+    def sensors(self, kind: str) -> Mapping[str, Sensor]:
+        own = dict(super().sensors(kind))
+        return own | {"egomotion": own["egomotion"]._replace(of=lambda moment: np.zeros((7, 2)))}
+
+
+def test_a_sensor_of_other_rows_than_worlds_is_named_with_task_and_agent(home: Scene, free: FreeSpace) -> None:
+    play = rollout(Crooked(), Crooked().episode(home, seed=1, free=free))
+    with pytest.raises(InputError, match="H3-TASK-092") as refused:
+        play.observe(0, 0, ["egomotion"])
+    assert all(word in str(refused.value) for word in ("crooked", "robot", "egomotion"))

@@ -11,6 +11,8 @@ import pytest
 from h3data.errors import InputError
 from h3data.metrics.habitat_settings import HabitatConfig
 from h3data_habitat.metrics.settings import config_of as read_config
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.tasks.rules.predicates import is_object_at
 from sim_kinematic.tasks.rules.rewards import (
     REARRANGE_REWARDS,
     Encounter,
@@ -18,6 +20,7 @@ from sim_kinematic.tasks.rules.rewards import (
     RearrangeReward,
     SocialNavReward,
 )
+from sim_kinematic.tasks.skills.household import _reached
 from tests.paths import REAL
 
 GOLDEN = REAL / "habitat-lab" / "reference"
@@ -139,3 +142,17 @@ def test_what_cannot_be_rewarded_is_refused() -> None:
         SocialNavReward(1, profile="galactic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"(?s)\[3, 2\].*H3-TASK-042"):
         SocialNavReward(3).step(meeting(1.0))
+
+
+def test_a_household_and_a_device_ask_one_rule_whether_objects_are_at_their_goals() -> None:
+    rng = np.random.default_rng(3)
+    goals = rng.normal(size=(500, 3))
+    poses = np.concatenate([goals + rng.normal(size=(500, 3)) * 0.2, np.zeros((500, 4))], 1)
+    held_by, at_goal = rng.integers(NOBODY, 2, 500), np.empty(500, np.bool_)
+    _reached(poses, goals, held_by, 0.3, at_goal)
+    near = is_object_at(poses[:, :3], goals)
+    np.testing.assert_array_equal(at_goal, near & (held_by == NOBODY))
+    assert 50 < near.sum() < 450
+    torch = pytest.importorskip("torch")
+    tensors = torch.from_numpy(poses[:, :3]), torch.from_numpy(goals)
+    np.testing.assert_array_equal(is_object_at(*tensors, xp=torch).numpy(), near)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import os
 import re
 import shlex
@@ -21,7 +22,6 @@ from h3data.metrics.report_layout import Milestone
 from h3data.recording import Recording
 from h3data.recording.live_input import remark_lines
 from h3data.recording.log_lines import SAY, speech
-from h3data.render.image_files import jpeg_data_uri
 from h3data.render.light.sources import LightMode
 from h3data_viewers.html_report.charts import series_class
 from h3data_viewers.html_report.data import Run, read_whole
@@ -420,3 +420,11 @@ def _sparkline(episode: ReportEpisode, css: str) -> Svg | None:
     svg.line(28, height - 2, width - 4, height - 2, "axis")
     svg.text(width - 4, height + 12, f"{episode.seconds(episode.metrics.rows - 1):.0f} s", "tick", anchor="end")
     return svg
+
+
+def jpeg_data_uri(image: NDArray[np.uint8], *, quality: int = 80) -> str:
+    """Return an image, RGB uint8 [H, W, 3], as a JPEG in a ``data:`` URI for HTML pages."""
+    import cv2
+
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
