@@ -10,16 +10,22 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.recording.mcap.rows": "h3data.recording.mcap.writer",
+    "h3data_training.held": "h3data_training.worlds",
     "h3data.recording.mcap.log": "h3data.recording.mcap.writer",
-    "sim_kinematic.tasks.social_nav.episode": "sim_kinematic.tasks.social_nav.codec",
+    "sim_kinematic.tasks.social_nav.episode": "sim_kinematic.tasks.social_nav",
+    "sim_kinematic.tasks.social_nav.codec": "sim_kinematic.tasks.social_nav",
+    "sim_kinematic.tasks.social_nav.task": "sim_kinematic.tasks.social_nav",
+    "sim_kinematic.tasks.runner": "sim_kinematic.tasks.play",
+    "sim_kinematic.tasks.motion": "sim_kinematic.tasks.control",
     "sim_kinematic.tasks.describe": "sim_kinematic.tasks.sources",
     "sim_kinematic.crowd.routines": "h3data_crowds.routines",
     "sim_kinematic.contact.overlaps": "h3data_pipelines.validation.overlaps",
     "sim_kinematic.controllers": "sim_kinematic.tasks.control",
     "sim_kinematic.controllers.controller": "sim_kinematic.tasks.control",
-    "sim_kinematic.controllers.motion": "sim_kinematic.tasks.motion",
+    "sim_kinematic.controllers.motion": "sim_kinematic.tasks.control",
     "sim_kinematic.controllers.skill": "sim_kinematic.tasks.skills.controller",
-    "sim_kinematic.tasks.team": "sim_kinematic.tasks.motion",
+    "sim_kinematic.tasks.team": "sim_kinematic.tasks.control",
     "h3data.render.raster.vectors": "h3data.kernels.vectors",
     "h3data.render.light.bake": "h3data_light.bake",
     "h3data.render.light.direct": "h3data_light.direct",
@@ -173,7 +179,7 @@ MOVED = {
     "sim_kinematic.motion.habitat_slide": "h3data_habitat.navmesh.slide",
     "sim_kinematic.policies.pictured": "sim_kinematic.policies.visual_policy",
     "sim_kinematic.tasks.rearrange.storage": "sim_kinematic.tasks.rearrange.codec",
-    "sim_kinematic.tasks.social_nav.storage": "sim_kinematic.tasks.social_nav.codec",
+    "sim_kinematic.tasks.social_nav.storage": "sim_kinematic.tasks.social_nav",
     "sim_kinematic.tasks.storage": "sim_kinematic.tasks.codec",
     "sim_kinematic.torch": "h3data_training.torch",
     "h3data.bodies.people.foot_planting": "h3data.bodies.people.soles",
@@ -260,12 +266,16 @@ RENAMED = {
     "sim_kinematic.sensing.table.Moment": "SensorContext",
     "sim_kinematic.sensing.sensor.humanoid_gps": "gps_compass",
     "sim_kinematic.sensing.sensor.nav_goal": "gps_compass",
-    "sim_kinematic.tasks.control.VelocityControl": "h3data.tasks.VelocityControl",
     "sim_kinematic.tasks.episode.Outcome": "StepOutcome",
     "sim_kinematic.tasks.play.Play": "WorldRollout",
     "sim_kinematic.tasks.play.WorldPlay": "WorldRollout",
     "sim_kinematic.tasks.play.Rollout": "WorldRollout",
-    "sim_kinematic.tasks.runner.Turns": "DecisionLoop",
+    "sim_kinematic.tasks.play.Session": "sim_kinematic.tasks.sessions.Session",
+    "sim_kinematic.tasks.play.StepResult": "sim_kinematic.tasks.sessions.StepResult",
+    "sim_kinematic.tasks.play.Turns": "DecisionLoop",
+    "sim_kinematic.tasks.play.rollout": "WorldRollout",
+    "sim_kinematic.tasks.play.run": "sim_kinematic.tasks.recorder.run",
+    "sim_kinematic.tasks.play.simulate": "sim_kinematic.tasks.recorder.simulate",
     "sim_kinematic.world.Drive": "DriveCommand",
     "sim_kinematic.world.Keep": "RecordedPoseCommand",
     "sim_kinematic.world.Pace": "GaitCommand",
@@ -333,14 +343,20 @@ class RenamedFinder(PathFinder):
 
     modules = frozenset(name.rpartition(".")[0] for name in RENAMED)
     """Names of modules whose objects were renamed."""
+    folders = frozenset(name.rpartition(".")[0] for name in MOVED)
+    """Names of packages, some of which are single modules now, from which modules have moved."""
 
     @classmethod
     def find_spec(
         cls, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return the module's own specification; None for modules without renamed objects."""
-        spec = super().find_spec(fullname, path, target) if fullname in cls.modules else None
-        if spec is not None and spec.loader is not None:
+        is_renamed, had_modules = fullname in cls.modules, fullname in cls.folders
+        spec = super().find_spec(fullname, path, target) if is_renamed or had_modules else None
+        if spec is not None and spec.submodule_search_locations is None and had_modules:
+            # Python asks `MovedFinder` only for modules in packages
+            spec.submodule_search_locations = []
+        if is_renamed and spec is not None and spec.loader is not None:
             run = spec.loader.exec_module
 
             def run_guarded(module: ModuleType) -> None:

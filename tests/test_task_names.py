@@ -21,7 +21,7 @@ MOST = 5
 OTHER_WORDS = {
     "wander": {  # the policy of this name, which any task may give its agents
         "sim_kinematic/policies/assignment.py",
-        "sim_kinematic/tasks/motion.py",
+        "sim_kinematic/tasks/control.py",
         "sim_kinematic/tasks/task.py",
     },
     "rearrange": {"viewers/h3data_studies/design.py"},  # the app of this name; a study's server imports no task

@@ -32,9 +32,9 @@ from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.crowd.roles import read_role, routines
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.crowd.people import CrowdPolicy
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import _restored as restored
 from sim_kinematic.tasks.resume import counterfactual, resume, verify, verify_episode
-from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.wander import Wander
 from tests.crowds.acting import chores_at
 

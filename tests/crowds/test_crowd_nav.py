@@ -17,8 +17,8 @@ from h3data_crowds.crowd_nav import CrowdNav, CrowdNavSpec
 from h3data_crowds.robots import ROBOTS
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.runner import simulate
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from sim_kinematic.policies.rearrange import planner
 from sim_kinematic.policies.searching import Seeking
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
-from sim_kinematic.tasks.runner import run
+from sim_kinematic.tasks.recorder import run
 
 _SOLO_STEPS = "_solo_steps"
 

@@ -12,8 +12,9 @@ from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.policy import PoseAction, Velocity, WaypointAction
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import rollout, run
+from sim_kinematic.tasks.recorder import run
 from sim_kinematic.tasks.social_nav import SocialNav
 
 NAN = float("nan")
@@ -60,7 +61,7 @@ def test_a_malformed_choice_is_refused_by_the_name_of_its_policy(
     task: Any, agent: str, choice: Any, home: Scene, free: FreeSpace
 ) -> None:
     episode = task().episode(home, seed=1, free=free)
-    play = rollout(task(), episode, {agent: Says(choice)})
+    play = WorldRollout.of(task(), episode, {agent: Says(choice)})
     with pytest.raises(InputError) as refused:
         run(play, steps=2)
     assert refused.value.code == "H3-TASK-083"
@@ -70,6 +71,6 @@ def test_a_malformed_choice_is_refused_by_the_name_of_its_policy(
 
 def test_a_pair_counts_as_a_velocity(home: Scene, free: FreeSpace) -> None:
     episode = SocialNav().episode(home, seed=1, free=free)
-    play = rollout(SocialNav(), episode, {"robot": Says((0.0, 0.5))})
+    play = WorldRollout.of(SocialNav(), episode, {"robot": Says((0.0, 0.5))})
     run(play, steps=1)
     assert play.step == 1

@@ -25,7 +25,7 @@ from sim_kinematic.policies.rearrange_observations import exact  # noqa: E402
 from sim_kinematic.policies.skills.observations import observe  # noqa: E402
 from sim_kinematic.sensing.encodings import DETECTOR, OF_CHOICES, OF_COMMANDS, Encoding  # noqa: E402
 from sim_kinematic.sensing.table import AHEAD_M, LIDARS, OF_SKILLS, TABLE, Pose  # noqa: E402
-from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
+from sim_kinematic.tasks.play import DecisionLoop  # noqa: E402
 from tests.sim.steppers import Batch  # noqa: E402
 from tests.training.torch import test_fetch, test_rearrange, test_skills, test_social_nav  # noqa: E402
 
