@@ -10,6 +10,14 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 MOVED = {
+    "sim_kinematic.policies.learned_chooser": "sim_kinematic.policies.rearrange",
+    "sim_kinematic.policies.skills.observations": "sim_kinematic.policies.skills.player",
+    "h3data.scene.freespace.distance_field": "h3data.scene.freespace.free_space",
+    "h3data.bodies.robots.stand_ins": "h3data.bodies.robots.robot_loading",
+    "h3data.replay.link_poses": "h3data.replay.posed_recording",
+    "h3data.replay.recorded_gestures": "h3data.replay.posed_recording",
+    "sim_kinematic.policies.maneuvering": "sim_kinematic.policies.social_nav",
+    "sim_kinematic.tasks.rules.oracle": "sim_kinematic.tasks.social_nav",
     "h3data.recording.mcap.rows": "h3data.recording.mcap.writer",
     "h3data_training.held": "h3data_training.worlds",
     "h3data.recording.mcap.log": "h3data.recording.mcap.writer",

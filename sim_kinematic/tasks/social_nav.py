@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies.names import split_walk
 from h3data.errors import InputError, SceneError
-from h3data.geometry import Array
+from h3data.geometry import Array, wrap_angle
 from h3data.plugins import names_from_data
 from h3data.recording import Event, Recording
 from h3data.recording.assets.scenes import scene_attachment
@@ -27,13 +27,12 @@ from h3data.scene import FreeSpace, Scene, scene_digest
 from sim_kinematic.agents.roster import ROBOT_BODY, AgentSpec, common_floor, kinds_of, make_roster, with_body
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.agents.waypoint_walker import HumanPlan, human_plan
-from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.learned import SHIPPED_NAVIGATORS, is_learned, naming, navigation_of, network_of, stamped
-from sim_kinematic.policies.maneuvering import Maneuvering
 from sim_kinematic.policies.policy import FunctionPolicy
-from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS
+from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS, Maneuvering
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
@@ -50,7 +49,6 @@ from sim_kinematic.tasks.codec import (
 from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, Starts, StepOutcome, rules_dict, sample_pair_starts
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.rules.oracle import oracle_min_steps
 from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward, check_profile
 from sim_kinematic.tasks.task import Task, TaskUsage
@@ -521,3 +519,41 @@ def _oracle(episode: Episode, track: NDArray[np.float64]) -> Any:
     return oracle_min_steps(
         episode.free, np.array([x, z]), float(heading), track, replace(episode.spec, robot=episode.bases[ROBOT])
     )
+
+
+# --- the oracle of SPS and F ------------------------------------------------------------------------------------------
+def steps_to_find(path: NDArray[np.float64], heading: float, spec: SocialNavSpec) -> float:
+    """Return a lower bound of the steps along ``path`` [K, 2] until the robot has found the person.
+
+    The person is found when the robot is ``spec.far_m`` from the end of the path and faces along it (paper appendix,
+    "Oracle for the Minimum Steps"). The robot turns while it drives, so the larger of the two numbers of steps counts.
+    No policy needs fewer steps.
+    """
+    legs = np.diff(path, axis=0)
+    lengths = np.hypot(legs[:, 0], legs[:, 1])
+    # points that coincide give no direction
+    legs, lengths = legs[lengths > 1e-9], lengths[lengths > 1e-9]
+    drive = max(float(lengths.sum()) - spec.far_m, 0.0)
+    # only legs on which the robot drives: it need not turn at corners beyond its place
+    driven = int(np.searchsorted(np.cumsum(lengths), drive)) + 1
+    # forward is (cos, -sin) of the heading in (x, z)
+    headings = np.concatenate([[heading], np.arctan2(-legs[:driven, 1], legs[:driven, 0])])
+    turn = float(np.abs(wrap_angle(np.diff(headings))).sum())
+    robot = spec.robot
+    return float(np.ceil(max(drive / robot.max_speed_mps, turn / robot.max_turn_rad_s) / STEP_S))
+
+
+def oracle_min_steps(
+    free: FreeSpace, robot_xz: NDArray[np.float64], heading: float, track: NDArray[np.float64], spec: SocialNavSpec
+) -> int | None:
+    """Return ``l``, the first i with ``r_i < i`` along the person's ``track`` [E, 2], tested at every step (paper appendix).
+
+    ``track[k]`` is the position of the person after step ``k + 1``. Returns None if they cannot be found within the
+    track.
+    """
+    for i, place in enumerate(track, start=1):
+        path = free.path(robot_xz, place)
+        # an empty path leads nowhere: the person is out of reach there
+        if len(path) and steps_to_find(path, heading, spec) < i:
+            return i
+    return None

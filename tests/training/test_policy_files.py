@@ -25,7 +25,7 @@ from h3data_training.worlds import ActionRepeatEnv
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import visual_policy
 from sim_kinematic.policies.learned import VisualNavigation, navigation_of, network_of, stamped
-from sim_kinematic.policies.learned_chooser import learned_chooser
+from sim_kinematic.policies.rearrange import learned_chooser
 from sim_kinematic.policies.visual_policy import FILE_FORMAT, PolicyCard, VisualPolicy, save_policy
 from sim_kinematic.tasks.episode import with_options
 from sim_kinematic.tasks.play import WorldRollout

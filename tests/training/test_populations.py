@@ -45,8 +45,7 @@ from sim_kinematic.policies.choosers.chooser_network import (
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy, allowed, observed
 from sim_kinematic.policies.learned import SHIPPED_HELPERS, SHIPPED_PARTNERS, network_of
-from sim_kinematic.policies.learned_chooser import learned_chooser
-from sim_kinematic.policies.rearrange import ZSC_TEN, planner
+from sim_kinematic.policies.rearrange import ZSC_TEN, learned_chooser, planner
 from sim_kinematic.policies.rearrange_observations import limits, observe
 from sim_kinematic.policies.visual_policy import save_policy
 from sim_kinematic.tasks.play import WorldRollout

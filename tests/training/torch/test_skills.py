@@ -18,7 +18,7 @@ from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors
 from sim_kinematic.agents.skills import CONTROL, Action
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import SkillSpec
-from sim_kinematic.policies.skills.observations import SkillView
+from sim_kinematic.policies.skills.player import SkillView
 from sim_kinematic.tasks.play import DecisionLoop, WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.task import Rearrange
