@@ -2,7 +2,7 @@
 
 import h3data
 from h3data.metrics import measure
-from sim_kinematic.tasks.rearrange.solo import solo_steps_of
+from sim_kinematic.tasks.rearrange.codec import solo_steps_of
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.recorder import simulate
 

@@ -10,6 +10,12 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.bodies.robots.extents": "h3data.bodies.robots.robot_loading",
+    "h3data.scene.freespace.floor_map": "h3data.scene.freespace.build",
+    "h3data.recording.mcap.chunks": "h3data.recording.mcap.writer",
+    "h3data.commands.shards": "h3data.commands.executors",
+    "sim_kinematic.tasks.rearrange.solo": "sim_kinematic.tasks.rearrange.codec",
+    "h3data.recording.parquet.steps": "h3data.recording.parquet.dataset",
     "sim_kinematic.policies.learned_chooser": "sim_kinematic.policies.rearrange",
     "sim_kinematic.policies.skills.observations": "sim_kinematic.policies.skills.player",
     "h3data.scene.freespace.distance_field": "h3data.scene.freespace.free_space",
@@ -168,7 +174,7 @@ MOVED = {
     "h3data_pipelines.commands.playing": "h3data_play.commands.playing",
     "h3data_pipelines.commands.serving": "h3data_play.commands.serving",
     "h3data_pipelines.execution.executors": "h3data.commands.executors",
-    "h3data_pipelines.execution.shards": "h3data.commands.shards",
+    "h3data_pipelines.execution.shards": "h3data.commands.executors",
     "h3data_pipelines.learning": "h3data_training.commands",
     "h3data_pipelines.options": "h3data.commands.options",
     "h3data_pipelines.pictures.report": "h3data_viewers.commands.reporting",

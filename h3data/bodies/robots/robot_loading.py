@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import math
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from h3data.bodies.robots.extents import resting_hull
 from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
 from h3data.bodies.robots.robot_files import (
     DESCRIPTIONS,
@@ -26,13 +27,14 @@ from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, r
 from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, mesh_files, missing_meshes, read_urdf
 from h3data.bodies.robots.urdf_parts import UrdfGeometry
 from h3data.errors import H3DataError, InputError
-from h3data.geometry import Array, normalized, pose_from_matrix
+from h3data.geometry import IDENTITY_POSE, Array, normalized, pose_from_matrix
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR
 from h3data.mesh.loading import load_mesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import flat_shaded, joined, moved, painted
 from h3data.mesh.primitives import box_mesh, round_mesh
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
+from h3data.scene.shape_bounds import shape_bounds
 
 
 def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in: bool = True) -> Robot:
@@ -376,3 +378,29 @@ def _box(urdf: Urdf, link: UrdfLink) -> UrdfPart:
     # the first colour of the visuals that are missing, so that the robot keeps its look
     color = next((part.color for part in link.visuals if part.color is not None), None)
     return UrdfPart(geometry=UrdfGeometry(kind="box", size=(x, y, z)), origin=origin, color=color)
+
+
+def resting_bounds(robot: Robot) -> NDArray[np.float64]:
+    """Return the lower and upper corners [S, 2, 3] [m] of all collision shapes of a resting robot, in its root frame."""
+    frames = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
+    bounds = [shape_bounds(shape, frames[k]) for k, link in enumerate(robot.links) for shape in link.shapes]
+    return np.array(bounds).reshape(-1, 2, 3)
+
+
+def resting_hull(robot: Robot) -> Array:
+    """Return positions along x [H] [m] of discs of the base's radius that cover the whole resting robot and its base discs."""
+    bounds, radius = resting_bounds(robot), robot.base_radius_m
+    back, front = float(robot.base_discs.min()), float(robot.base_discs.max())
+    # discs cover a radius beyond their places
+    if len(bounds):
+        back, front = min(back, bounds[:, 0, 0].min() + radius), max(front, bounds[:, 1, 0].max() - radius)
+    # distance between two discs of a row, in radii: between them the row is 71% as wide as a disc
+    spacing = 1.4
+    # less a little, so that rounding does not add a disc
+    gaps = math.ceil((front - back) / (spacing * radius) - 1e-9)
+    return np.linspace(back, front, gaps + 1) if gaps > 0 else np.array([(back + front) / 2])
+
+
+def row_radius(places: Array, points: Array) -> float:
+    """Return the smallest radius [m] of discs at positions [D] [m] along x that cover floor points ``(x, z)`` [N, 2] [m]."""
+    return float(np.hypot(points[:, None, 0] - places, points[:, None, 1]).min(1).max())

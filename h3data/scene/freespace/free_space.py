@@ -33,8 +33,7 @@ from h3data.scene.freespace._sdf import (
     trace_rays,
 )
 from h3data.scene.freespace._visibility import Graph, locate_many, snap_many
-from h3data.scene.freespace.build import build_from_scene, scene_key, without_stairs
-from h3data.scene.freespace.floor_map import FloorMap
+from h3data.scene.freespace.build import FloorMap, build_from_scene, scene_key, without_stairs
 from h3data.scene.records import Scene
 
 __all__ = ["FreeSpace", "line_of_sight", "sample_sdf", "sdf_gradient"]
