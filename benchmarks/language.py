@@ -24,8 +24,8 @@ from h3data_language.evaluation.layout import FurnitureBox, Layout, Surface, Thi
 from h3data_language.task import Language
 from h3data_llm.endpoint import Address, HttpEndpoint
 from h3data_llm.policy import LanguageModelPolicy
-from sim_kinematic.tasks.runner import run as run_episode
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import run as run_episode
+from sim_kinematic.tasks.recorder import simulate
 
 EPISODES, STEPS, BODIES, THINGS, FURNITURE, ROOMS = 10_000, 1_500, 100, 4, 24, 8
 

@@ -37,7 +37,7 @@ from sim_kinematic.agents.robots.arm_clearance import CLEARANCE, arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.wander import Wander
 

@@ -61,7 +61,7 @@ from h3data_ros.track_import import read_tracks
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.crowd.traits import CrowdSpec
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.wander import Wander
 
 Emit = Callable[[str, float, str], None]

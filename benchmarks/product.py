@@ -35,7 +35,7 @@ def _make_run(folder: Path, policy: str, count: int = REPORT_EPISODES, steps: in
     from h3data.recording import DatasetWriter
     from h3data_homes import HomeSpec, build_home
     from sim_kinematic.motion.spec import SocialNavSpec
-    from sim_kinematic.tasks.runner import simulate
+    from sim_kinematic.tasks.recorder import simulate
     from sim_kinematic.tasks.social_nav import SocialNav
 
     homes = [build_home(HomeSpec(preset="small", seed=seed)) for seed in range(2)]

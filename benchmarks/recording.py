@@ -39,7 +39,7 @@ from h3data.recording import (
     read_mcap,
     write_mcap,
 )
-from h3data.recording.parquet.steps import DatasetSteps
+from h3data.recording.parquet.dataset import DatasetSteps
 
 STEPS, OBJECTS, EPISODES, THOUSAND = 1500, 20, 10, 1000
 

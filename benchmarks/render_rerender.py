@@ -21,7 +21,7 @@ from h3data_homes import HomeSpec, build_home
 from h3data_pipelines.outputs import Format, Target
 from h3data_pipelines.pictures.rendering import render_files
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.social_nav import SocialNav
 
 Emit = Callable[[str, float, str], None]

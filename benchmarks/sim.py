@@ -28,7 +28,7 @@ from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, HOME_WALKER, NATURAL_WALKER, ArmSpec, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
 from sim_kinematic.motion.step import drive_robots
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.social_nav import SocialNav
 
 Emit = Callable[[str, float, str], None]

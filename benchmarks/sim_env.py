@@ -18,9 +18,8 @@ import h3data
 from benchmarks.sim import cpu_s
 from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, STATE_SENSES
-from sim_kinematic.sensing.table import STATE_OBSERVATIONS
+from sim_kinematic.sensing.table import PAPER_OBSERVATIONS, STATE_OBSERVATIONS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.tasks.social_nav import PAPER_OBSERVATIONS
 
 Emit = Callable[[str, float, str], None]
 HOME = "small:1"

@@ -25,7 +25,7 @@ from h3data.scene import FreeSpace, Scene
 from h3data.scene.open import named_scenes, open_free_space, open_scene
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import simulate
 
 Emit = Callable[[str, float, str], None]
 SCENES = "h3-homes/test"

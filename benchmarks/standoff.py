@@ -48,10 +48,10 @@ from sim_kinematic.agents.stands import person_stands
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.tasks.rearrange.codec import solo_steps_of
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rearrange.solo import solo_steps_of
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import simulate
 
 Emit = Callable[[str, float, str], None]
 EPISODES, HOMES = 40, 10

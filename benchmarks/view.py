@@ -24,7 +24,7 @@ def _recording(steps: int) -> Recording:
     """Return a simulated episode, repeated up to ``steps`` rows; 20 of its objects circle around their places."""
     from h3data_homes import HomeSpec, build_home
     from sim_kinematic.motion.spec import SocialNavSpec
-    from sim_kinematic.tasks.runner import simulate
+    from sim_kinematic.tasks.recorder import simulate
     from sim_kinematic.tasks.social_nav import SocialNav
 
     home = build_home(HomeSpec(preset="small", seed=15))

@@ -5,7 +5,7 @@ import sys
 from PIL import Image
 
 import h3data
-from sim_kinematic.tasks.social_nav import PAPER_OBSERVATIONS
+from sim_kinematic.sensing.table import PAPER_OBSERVATIONS
 
 # What the paper's policy sees: depth of the arm's camera, the humanoid detector, the humanoid GPS.
 env = h3data.make(

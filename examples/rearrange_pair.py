@@ -2,9 +2,9 @@
 
 import h3data
 from h3data.metrics import measure
-from sim_kinematic.tasks.rearrange.solo import solo_steps_of
+from sim_kinematic.tasks.rearrange.codec import solo_steps_of
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import simulate
 
 home = h3data.build_home(h3data.HomeSpec(preset="small", seed=1))
 task = Rearrange()

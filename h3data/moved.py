@@ -10,16 +10,36 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 MOVED = {
+    "h3data.bodies.robots.extents": "h3data.bodies.robots.robot_loading",
+    "h3data.scene.freespace.floor_map": "h3data.scene.freespace.build",
+    "h3data.recording.mcap.chunks": "h3data.recording.mcap.writer",
+    "h3data.commands.shards": "h3data.commands.executors",
+    "sim_kinematic.tasks.rearrange.solo": "sim_kinematic.tasks.rearrange.codec",
+    "h3data.recording.parquet.steps": "h3data.recording.parquet.dataset",
+    "sim_kinematic.policies.learned_chooser": "sim_kinematic.policies.rearrange",
+    "sim_kinematic.policies.skills.observations": "sim_kinematic.policies.skills.player",
+    "h3data.scene.freespace.distance_field": "h3data.scene.freespace.free_space",
+    "h3data.bodies.robots.stand_ins": "h3data.bodies.robots.robot_loading",
+    "h3data.replay.link_poses": "h3data.replay.posed_recording",
+    "h3data.replay.recorded_gestures": "h3data.replay.posed_recording",
+    "sim_kinematic.policies.maneuvering": "sim_kinematic.policies.social_nav",
+    "sim_kinematic.tasks.rules.oracle": "sim_kinematic.tasks.social_nav",
+    "h3data.recording.mcap.rows": "h3data.recording.mcap.writer",
+    "h3data_training.held": "h3data_training.worlds",
     "h3data.recording.mcap.log": "h3data.recording.mcap.writer",
-    "sim_kinematic.tasks.social_nav.episode": "sim_kinematic.tasks.social_nav.codec",
+    "sim_kinematic.tasks.social_nav.episode": "sim_kinematic.tasks.social_nav",
+    "sim_kinematic.tasks.social_nav.codec": "sim_kinematic.tasks.social_nav",
+    "sim_kinematic.tasks.social_nav.task": "sim_kinematic.tasks.social_nav",
+    "sim_kinematic.tasks.runner": "sim_kinematic.tasks.play",
+    "sim_kinematic.tasks.motion": "sim_kinematic.tasks.control",
     "sim_kinematic.tasks.describe": "sim_kinematic.tasks.sources",
     "sim_kinematic.crowd.routines": "h3data_crowds.routines",
     "sim_kinematic.contact.overlaps": "h3data_pipelines.validation.overlaps",
     "sim_kinematic.controllers": "sim_kinematic.tasks.control",
     "sim_kinematic.controllers.controller": "sim_kinematic.tasks.control",
-    "sim_kinematic.controllers.motion": "sim_kinematic.tasks.motion",
+    "sim_kinematic.controllers.motion": "sim_kinematic.tasks.control",
     "sim_kinematic.controllers.skill": "sim_kinematic.tasks.skills.controller",
-    "sim_kinematic.tasks.team": "sim_kinematic.tasks.motion",
+    "sim_kinematic.tasks.team": "sim_kinematic.tasks.control",
     "h3data.render.raster.vectors": "h3data.kernels.vectors",
     "h3data.render.light.bake": "h3data_light.bake",
     "h3data.render.light.direct": "h3data_light.direct",
@@ -154,7 +174,7 @@ MOVED = {
     "h3data_pipelines.commands.playing": "h3data_play.commands.playing",
     "h3data_pipelines.commands.serving": "h3data_play.commands.serving",
     "h3data_pipelines.execution.executors": "h3data.commands.executors",
-    "h3data_pipelines.execution.shards": "h3data.commands.shards",
+    "h3data_pipelines.execution.shards": "h3data.commands.executors",
     "h3data_pipelines.learning": "h3data_training.commands",
     "h3data_pipelines.options": "h3data.commands.options",
     "h3data_pipelines.pictures.report": "h3data_viewers.commands.reporting",
@@ -173,7 +193,7 @@ MOVED = {
     "sim_kinematic.motion.habitat_slide": "h3data_habitat.navmesh.slide",
     "sim_kinematic.policies.pictured": "sim_kinematic.policies.visual_policy",
     "sim_kinematic.tasks.rearrange.storage": "sim_kinematic.tasks.rearrange.codec",
-    "sim_kinematic.tasks.social_nav.storage": "sim_kinematic.tasks.social_nav.codec",
+    "sim_kinematic.tasks.social_nav.storage": "sim_kinematic.tasks.social_nav",
     "sim_kinematic.tasks.storage": "sim_kinematic.tasks.codec",
     "sim_kinematic.torch": "h3data_training.torch",
     "h3data.bodies.people.foot_planting": "h3data.bodies.people.soles",
@@ -260,14 +280,18 @@ RENAMED = {
     "sim_kinematic.sensing.table.Moment": "SensorContext",
     "sim_kinematic.sensing.sensor.humanoid_gps": "gps_compass",
     "sim_kinematic.sensing.sensor.nav_goal": "gps_compass",
-    "sim_kinematic.tasks.control.VelocityControl": "h3data.tasks.VelocityControl",
     "sim_kinematic.tasks.episode.Outcome": "StepOutcome",
     "sim_kinematic.tasks.play.Play": "WorldRollout",
     "sim_kinematic.tasks.play.WorldPlay": "WorldRollout",
     "sim_kinematic.tasks.play.Rollout": "WorldRollout",
     "sim_kinematic.tasks.resume.AddedTime": "h3data_pipelines.validation.added_time.AddedTime",
     "sim_kinematic.tasks.resume.added_time": "h3data_pipelines.validation.added_time.added_time",
-    "sim_kinematic.tasks.runner.Turns": "DecisionLoop",
+    "sim_kinematic.tasks.play.Session": "sim_kinematic.tasks.sessions.Session",
+    "sim_kinematic.tasks.play.StepResult": "sim_kinematic.tasks.sessions.StepResult",
+    "sim_kinematic.tasks.play.Turns": "DecisionLoop",
+    "sim_kinematic.tasks.play.rollout": "WorldRollout",
+    "sim_kinematic.tasks.play.run": "sim_kinematic.tasks.recorder.run",
+    "sim_kinematic.tasks.play.simulate": "sim_kinematic.tasks.recorder.simulate",
     "sim_kinematic.world.Drive": "DriveCommand",
     "sim_kinematic.world.Keep": "RecordedPoseCommand",
     "sim_kinematic.world.Pace": "GaitCommand",
@@ -335,14 +359,20 @@ class RenamedFinder(PathFinder):
 
     modules = frozenset(name.rpartition(".")[0] for name in RENAMED)
     """Names of modules whose objects were renamed."""
+    folders = frozenset(name.rpartition(".")[0] for name in MOVED)
+    """Names of packages, some of which are single modules now, from which modules have moved."""
 
     @classmethod
     def find_spec(
         cls, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return the module's own specification; None for modules without renamed objects."""
-        spec = super().find_spec(fullname, path, target) if fullname in cls.modules else None
-        if spec is not None and spec.loader is not None:
+        is_renamed, had_modules = fullname in cls.modules, fullname in cls.folders
+        spec = super().find_spec(fullname, path, target) if is_renamed or had_modules else None
+        if spec is not None and spec.submodule_search_locations is None and had_modules:
+            # Python asks `MovedFinder` only for modules in packages
+            spec.submodule_search_locations = []
+        if is_renamed and spec is not None and spec.loader is not None:
             run = spec.loader.exec_module
 
             def run_guarded(module: ModuleType) -> None:

@@ -8,7 +8,7 @@ world.touching                                       # [16, 3]: of world.pairs
 ```
 
 A single world has W = 1. Motion, contact and arms are computed by the kernels in `sim_kinematic.motion`. A task
-(`sim_kinematic.tasks.task`) adds rules, and a runner (`sim_kinematic.tasks.runner`) adds the loop over steps.
+(`sim_kinematic.tasks.task`) adds rules, and a rollout (`sim_kinematic.tasks.play`) adds the loop over steps.
 """
 
 from __future__ import annotations

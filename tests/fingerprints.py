@@ -63,8 +63,8 @@ def habitat_rules(task: str) -> Any:
 
 def simulated(task: str, home: Any, *, seed: int, rules: Any) -> Any:
     """The recording of one episode of a task under any rules, with its default policies."""
+    from sim_kinematic.tasks.recorder import simulate
     from sim_kinematic.tasks.registry import find_task
-    from sim_kinematic.tasks.runner import simulate
 
     found = find_task(task)
     return simulate(found, found.episode(home, seed=seed, spec=rules))

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from h3data.recording import RecordingWriter
+from h3data.recording import RecordingHeader, RecordingWriter
 from h3data.scene.open import open_scene
 from h3data_homes import HomeSpec
 from sim_kinematic.tasks.episode import Episode
@@ -48,8 +48,13 @@ def stays(play: Callable[[], object], follows: Callable[[str, Any], bool]) -> li
     return files
 
 
-def stays_of_an_episode(folder: Path) -> list[str]:
-    """Return the files in which an episode of social navigation is handed on, from `simulate` to the disk."""
+def stays_of_an_episode(folder: Path, *followed: type) -> list[str]:
+    """Return the files in which an episode of social navigation is handed on, from `simulate` to the disk.
+
+    Args:
+        folder: Folder for the recording.
+        followed: Types of what is followed; (Episode, RecordingHeader) for the episode and what it becomes on the disk.
+    """
     home = open_scene(HomeSpec(seed=1))
     episode = SOCIAL_NAV.episode(home, spec=replace(SOCIAL_NAV.Spec(), max_steps=3))
 
@@ -58,7 +63,7 @@ def stays_of_an_episode(folder: Path) -> list[str]:
         simulate_social_nav(episode, policy="stand_still", sink=lambda header: RecordingWriter(file, header))
 
     # methods of the episode itself are no journey
-    return stays(play, lambda name, value: isinstance(value, Episode) and name != "self")
+    return stays(play, lambda name, value: isinstance(value, followed) and name != "self")
 
 
 def returns(files: list[str]) -> int:
@@ -69,6 +74,8 @@ def returns(files: list[str]) -> int:
 if __name__ == "__main__":
     import tempfile
 
-    with tempfile.TemporaryDirectory() as folder:
-        found = stays_of_an_episode(Path(folder))
-    sys.stdout.write("\n".join([*found, f"{len(found)} stays, {returns(found)} returns\n"]))
+    for followed in ((Episode,), (Episode, RecordingHeader)):
+        with tempfile.TemporaryDirectory() as folder:
+            found = stays_of_an_episode(Path(folder), *followed)
+        total = f"{len(found)} stays in {len(set(found))} files, {returns(found)} returns\n\n"
+        sys.stdout.write("\n".join([f"{' and '.join(kind.__name__ for kind in followed)}:", *found, total]))

@@ -32,6 +32,11 @@ def test_imports_ask_for_moved_modules() -> None:
         importlib.import_module("sim_kinematic.torch.step")
 
 
+def test_a_package_that_is_a_module_now_still_refuses_its_old_modules() -> None:
+    with pytest.raises(ModuleNotFoundError, match=r"codec is sim_kinematic\.tasks\.social_nav now"):
+        importlib.import_module("sim_kinematic.tasks.social_nav.codec")
+
+
 @pytest.mark.parametrize("package", sorted({old.partition(".")[0] for old in MOVED}))
 def test_a_program_that_imports_an_old_name_first_learns_the_new_one(package: str) -> None:
     old = next(old for old in MOVED if old.startswith(f"{package}."))

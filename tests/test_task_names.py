@@ -21,7 +21,7 @@ MOST = 5
 OTHER_WORDS = {
     "wander": {  # the policy of this name, which any task may give its agents
         "sim_kinematic/policies/assignment.py",
-        "sim_kinematic/tasks/motion.py",
+        "sim_kinematic/tasks/control.py",
         "sim_kinematic/tasks/task.py",
     },
     "rearrange": {"viewers/h3data_studies/design.py"},  # the app of this name; a study's server imports no task
@@ -93,7 +93,7 @@ def test_names_of_tasks_are_found(tmp_path: Path) -> None:
     assert sorted(node.lineno for node in strings_of(source) if node.value == "wander") == [2, 4, 6, 6]
     assert homes()["wander"] == "sim_kinematic/tasks/wander.py"
     assert homes()["rearrange"] == "sim_kinematic/tasks/rearrange"
-    assert homes()["social_nav"] == "sim_kinematic/tasks/social_nav"
+    assert homes()["social_nav"] == "sim_kinematic/tasks/social_nav.py"
     assert homes()["crowd_nav"] == "pipelines/h3data_crowds/crowd_nav.py"
     assert homes()["language"] == "pipelines/h3data_language"
 

@@ -2,15 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager
-from typing import Annotated
+from typing import Annotated, Protocol, TypeVar
 
 import tyro
 
-from h3data.commands.shards import Executor
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import H3DataError, InputError, did_you_mean
 from h3data.plugins import Registry
+
+S = TypeVar("S")
+R = TypeVar("R")
+
+
+class LostShardError(H3DataError):
+    """Error about a shard whose process died in every attempt."""
+
+
+class Executor(Protocol):
+    """Processes that work on shards."""
+
+    @property
+    def workers(self) -> int:
+        """Number of shards that are processed at the same time."""
+        ...
+
+    @property
+    def threads(self) -> int:
+        """Number of threads that each process may use."""
+        ...
+
+    def run(
+        self,
+        work: Callable[[S], R],
+        shards: Sequence[S],
+        *,
+        lost: Callable[[S, LostShardError], R] | None = None,
+        writes: bool = False,
+    ) -> Generator[R]:
+        """Yield the result of ``work`` for each shard, in order.
+
+        An error that ``work`` raises ends the job.
+
+        Args:
+            work: A function of a module, or a `functools.partial` of one.
+            shards: Values that can be pickled, one for each call.
+            lost: Function that returns the result of a shard whose process died in every attempt; None ends the job
+                with a `LostShardError`.
+            writes: True if ``work`` writes files, so that no shard may run twice at once.
+        """
+        ...
+
 
 ExecutorOption = Annotated[
     str,

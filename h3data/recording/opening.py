@@ -82,8 +82,7 @@ def open_steps(path: str | os.PathLike[str] | RemotePath, *, episode: int | None
     """
     at = place(path)
     if at.is_dir():
-        from h3data.recording.parquet.dataset import Dataset
-        from h3data.recording.parquet.steps import DatasetSteps
+        from h3data.recording.parquet.dataset import Dataset, DatasetSteps
 
         if episode is None:
             raise InputError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, get_args
 
@@ -13,21 +13,19 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.gestures import add_gestures, lead_hands
+from h3data.bodies.people.gestures import GESTURES, NAMES, add_gestures, lead_hands
 from h3data.bodies.people.planted_gait import drawn_in, planted_states, pose_planted
 from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
 from h3data.bodies.people.sitting import take_seats
 from h3data.bodies.robots.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
-from h3data.geometry import Array, pose_to_matrix
+from h3data.geometry import Array, pose_to_matrix, smoothstep
 from h3data.plugins import Registry, names_from_data
 from h3data.recording import Agent, AssetRef, Body, Recording
 from h3data.recording.assets.folders import clean_path
 from h3data.recording.assets.library import AssetLibrary
 from h3data.recording.records import JOINTS
 from h3data.render.light.sources import LightMode, check_light
-from h3data.replay.link_poses import LinkPoses
-from h3data.replay.recorded_gestures import recorded_gestures
 from h3data.replay.recorded_robots import check_recorded_robots
 from h3data.replay.records import (
     BodyTrack,
@@ -461,3 +459,72 @@ def _matrix(body: Body) -> Array:
     matrix = pose_to_matrix(np.nan_to_num(body.pose.astype(np.float64)))
     matrix[:3, :3] *= body.scale
     return matrix
+
+
+BEGINS, ENDS = "activity", ("activity", "walks_to", "gets_up")
+"""Kinds of the events that start and end a gesture; the target of the first is the name of the activity."""
+RAMP_S = 0.8
+"""Time in which the hands move into the gesture at its start, and back before its end [s]."""
+
+
+def recorded_gestures(recording: Recording, agent: int) -> Array | None:
+    """Return the gestures of an agent at all steps, [T, 3], as `h3data.bodies.people.gestures.add_gestures` takes them.
+
+    Gestures of seated people start when they sit, and are omitted while they do not. The result is None if the agent
+    has no activity with a gesture.
+    """
+    turns = [event for event in recording.events if event.agent == agent and event.kind in ENDS]
+    if not any(event.kind == BEGINS and event.target in NAMES for event in turns):
+        return None
+    seconds = recording.columns["time_ns"].astype(np.float64) * 1e-9
+    seats = recording.columns.get(f"agent_{agent}.motion_seat")
+    out = np.zeros((len(seconds), 3))
+    for k, event in enumerate(turns):
+        begin = max(event.step, 0)
+        end = next((after.step for after in turns[k + 1 :] if after.step > begin), len(seconds))
+        if event.kind != BEGINS or event.target not in NAMES or begin >= end:
+            continue
+        if GESTURES[event.target].seated:
+            on_seat = np.flatnonzero(seats[begin:end, 1] >= 1) if seats is not None else np.zeros(0, np.intp)
+            if not len(on_seat):
+                continue
+            begin += int(on_seat[0])
+        rows = slice(begin, end)
+        since, left = seconds[rows] - seconds[begin], seconds[end - 1] - seconds[rows]
+        u = np.clip(np.minimum(since, left if end < len(seconds) else np.inf) / RAMP_S, 0.0, 1.0)
+        # 1.9: time between the gestures of agents with successive numbers, so that people who talk to each
+        # other do not move alike [s]
+        out[rows] = np.column_stack([np.full(len(u), NAMES.index(event.target)), since + 1.9 * agent, smoothstep(u)])
+    return out
+
+
+BLOCK_STEPS = 256
+"""Number of steps whose poses are computed together."""
+BLOCKS_KEPT = 16
+
+
+class LinkPoses:
+    """World matrices of one agent's links along a recording, computed on demand by any thread."""
+
+    def __init__(self, pose: Callable[[NDArray[np.integer]], NDArray[np.floating]], steps: int, links: int) -> None:
+        """Compute poses by the function ``pose``, which returns the matrices [t, L, 4, 4] at steps [t]."""
+        self._pose, self._steps, self._links = pose, steps, links
+        # threads render neighbouring steps, which lie in few blocks
+        self._block = lru_cache(maxsize=BLOCKS_KEPT)(self._pose_block)
+
+    def at(self, steps: NDArray[np.integer] | None, link: int | slice) -> NDArray[np.float32]:
+        """Return world matrices at ``steps`` (default all) of one link, [T, 4, 4], or of a slice of links, [T, L, 4, 4]."""
+        rows = np.arange(self._steps) if steps is None else np.arange(self._steps)[steps]
+        blocks = rows // BLOCK_STEPS
+        numbers = np.unique(blocks)
+        if len(numbers) == 1:
+            return self._block(int(numbers[0]))[rows % BLOCK_STEPS, link]
+        out = np.empty((len(rows), *np.empty(self._links)[link].shape, 4, 4), np.float32)
+        for number in numbers:
+            chosen = blocks == number
+            out[chosen] = self._block(int(number))[rows[chosen] % BLOCK_STEPS, link]
+        return out
+
+    def _pose_block(self, number: int) -> NDArray[np.float32]:
+        rows = np.arange(number * BLOCK_STEPS, min((number + 1) * BLOCK_STEPS, self._steps))
+        return self._pose(rows).astype(np.float32)

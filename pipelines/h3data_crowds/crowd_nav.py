@@ -17,9 +17,8 @@ from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.sensing.sensor import gps_compass
 from sim_kinematic.sensing.table import Sensor
-from sim_kinematic.tasks.control import Control
+from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
-from sim_kinematic.tasks.motion import VelocityControl
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.task import Task
 

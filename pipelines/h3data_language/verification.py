@@ -27,7 +27,7 @@ from h3data_pipelines.jobs.failed_episodes import reason_of
 from h3data_pipelines.jobs.result_files import RESULTS, check_options, results_of
 from sim_kinematic.agents.roster import kinds_of
 from sim_kinematic.motion.randomness import episode_seed
-from sim_kinematic.tasks.runner import run
+from sim_kinematic.tasks.recorder import run
 
 TRIES = 20
 """Largest number of consecutive episodes of a home that are not suitable as tasks."""

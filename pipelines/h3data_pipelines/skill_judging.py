@@ -9,10 +9,9 @@ from h3data.geometry import IDENTITY_POSE
 from sim_kinematic.agents.skills import Action, LearnedSkill
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import External
-from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.play import DecisionLoop, WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import DecisionLoop
 from sim_kinematic.tasks.skills.skill_starts import SkillStart
 
 

@@ -23,9 +23,8 @@ from sim_kinematic.policies.policy import Still
 from sim_kinematic.policies.views import AgentView, SocialNavView
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.recorder import Recorder
+from sim_kinematic.tasks.recorder import Recorder, run
 from sim_kinematic.tasks.resimulation import scene_and_map
-from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.task import Task
 
 VIEWS = {view.__name__: view for view in (SocialNavView, AgentView)}

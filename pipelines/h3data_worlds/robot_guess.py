@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.robots.extents import row_radius
 from h3data.bodies.robots.robot import Robot
+from h3data.bodies.robots.robot_loading import row_radius
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings
 from h3data.geometry import IDENTITY_POSE, Array, normalized
 from h3data.scene.records import Shape

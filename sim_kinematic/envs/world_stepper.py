@@ -30,10 +30,9 @@ from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names, split_sizes
+from sim_kinematic.tasks.control import command_of, resting_arm
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.motion import command_of, resting_arm
-from sim_kinematic.tasks.play import WorldRollout
-from sim_kinematic.tasks.runner import DecisionLoop
+from sim_kinematic.tasks.play import DecisionLoop, WorldRollout
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes, in_words
 from sim_kinematic.tasks.task import Task
 from sim_kinematic.world import Command, DriveCommand, PoseCommand, WaypointCommand

@@ -75,7 +75,7 @@ class Policy(Protocol):
 
 
 class External:
-    """Placeholder for a controller outside, which acts through `sim_kinematic.tasks.runner.Session.act`.
+    """Placeholder for a controller outside, which acts through `sim_kinematic.tasks.sessions.Session.act`.
 
     In tasks with skills, ``interrupts_when_close`` says whether the agent may choose again at every step while another
     agent is close, as Habitat's learned policies must.

@@ -18,13 +18,14 @@ from h3data.scene.articulation import joint_names
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.crowd.errands import HandWork
 from sim_kinematic.crowd.roles import routines
-from sim_kinematic.policies.assignment import AssignedPolicy, works
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign, works
+from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.rearrange_observations import limits
+from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.table import Sensor
-from sim_kinematic.tasks.control import Columns
+from sim_kinematic.tasks.control import Columns, resting_arm
 from sim_kinematic.tasks.episode import Episode, StepOutcome
-from sim_kinematic.tasks.motion import resting_arm
 from sim_kinematic.world import (
     Command,
     World,
@@ -33,11 +34,14 @@ from sim_kinematic.world import (
 if TYPE_CHECKING:
     from sim_kinematic.sensing.eyes import PictureSize
 
+MOST_CHOICES = 1000
+"""Number of choices of an agent in one step at which an episode ends with an error."""
+
 
 class WorldRollout:
     """Rollout of W worlds of a task, each with its own episode.
 
-    `sim_kinematic.tasks.runner.DecisionLoop` plays a single one.
+    A `DecisionLoop` plays a single one.
     """
 
     xp: ClassVar[Any] = np
@@ -119,15 +123,26 @@ class WorldRollout:
 
     @classmethod
     def of(
-        cls, task: Any, episode: Episode, policies: Sequence[AssignedPolicy], *, measure: bool = True
+        cls,
+        task: Any,
+        episode: Episode,
+        policies: Assigned | Sequence[AssignedPolicy] | None = None,
+        *,
+        measure: bool = True,
     ) -> WorldRollout:
-        """Return a rollout of one episode of a task, ready for `sim_kinematic.tasks.runner.run`.
+        """Return a rollout of one episode of a task, ready for a `DecisionLoop`.
 
-        ``measure=False`` leaves out quantities that only rewards need.
+        Args:
+            task: task to play.
+            episode: episode, such as one from `sim_kinematic.tasks.task.Task.sample`.
+            policies: policy of each agent, or policies by agent or kind (`sim_kinematic.policies.assignment.assign`).
+            measure: False leaves out quantities that only rewards need.
 
         Raises:
-            InputError: the number of policies is not the number of agents.
+            InputError: there is no such policy or agent, or the number of policies is not the number of agents.
         """
+        if policies is None or isinstance(policies, Mapping):
+            policies = assign(task, episode, policies)
         if len(policies) != len(episode.roster):
             raise InputError(
                 f"Expected one policy for each of {len(episode.roster)} agents, got {len(policies)}.",
@@ -391,6 +406,86 @@ class WorldRollout:
         for part in (*parts, measured):
             result |= part
         return result
+
+
+class DecisionLoop:
+    """Loop over the turns of an episode, which pauses when an agent must decide and at the end of each step."""
+
+    def __init__(self, play: WorldRollout) -> None:
+        self._play, self._left = play, play.spec.max_steps
+        self._commands: list[Command | None] = [None] * len(play.world.roster)
+        self._turn = 0
+        """Number of agents that have already made this step."""
+        self._choices = 0
+        """Number of choices that the agent whose turn it is has made in this step without moving."""
+        self._begun = self._ended = False
+        """True if the agent whose turn it is has observed the others; true if the rules have ended the episode."""
+        self.over = False
+        self.asked: int | None = None
+        """Number of the agent that must decide; None if a step is over or no step has started."""
+        self.go_on()
+
+    def answer(self, choice: Any) -> None:
+        """Take the choice of the agent that was asked."""
+        assert self.asked is not None
+        self._start(self.asked, choice)
+        self._go_on()
+
+    def go_on(self) -> None:
+        """Start the next step."""
+        if self._ended or not self._left:
+            self.over = True
+            return
+        self._left, self._turn = self._left - 1, 0
+        self._play.team.begin_step()
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Play on until an agent must decide or the step is over."""
+        play, team = self._play, self._play.team
+        while self._turn < len(team.order):
+            number = team.order[self._turn]
+            if not self._begun:
+                team.begin_turn(number)
+                self._begun = True
+            if team.controllers[number].status != "choosing":
+                self._step(number)
+                continue
+            policy, own = play.policies[number].policy, play.world.state.agents[number]
+            # scripts need no view: they are asked a hundred times more often than anything else
+            if type(policy) is WaypointPolicy:
+                self._start(number, policy.move(own.xz[0], own.heading.item(0)))
+            elif type(policy) is CrowdPolicy:
+                self._start(number, policy.move(team.crowds_of(0), number, play.step))
+            else:
+                self.asked = number
+                return
+        self.asked = None
+        outcome = play.advance(self._commands)
+        play.events += [event for _, event in outcome.events]
+        play.events += team.new_events()
+        if outcome.terminated[0]:
+            self._ended, play.ended = True, outcome.ended or ("success" if outcome.success[0] else "terminated")
+
+    def _start(self, number: int, choice: Any) -> None:
+        self._play.team.controllers[number].start(choice)
+        self._step(number)
+
+    def _step(self, number: int) -> None:
+        team = self._play.team
+        controller = team.controllers[number]
+        self._commands[number] = controller.step()
+        if controller.status != "choosing":
+            team.end_turn(number)
+            self._turn, self._begun, self._choices = self._turn + 1, False, 0
+            return
+        self._choices += 1
+        if self._choices == MOST_CHOICES:
+            raise InputError(
+                f"In {self._play.task.name}, {self._play.world.roster[number].name} has made {MOST_CHOICES:,} choices in "
+                f"step {self._play.step}, and its {type(controller).__name__} still asks for another.",
+                code="H3-TASK-091",
+            )
 
 
 def contact_columns(kinds: Sequence[str], touching: NDArray[np.bool_]) -> Columns:

@@ -1,4 +1,4 @@
-"""Recorder of episodes of all tasks while they run.
+"""Recorder of episodes of all tasks while they run, and `simulate`, which plays and records a whole episode.
 
 Steps become blocks of columns that go to a sink; events, skills and raw input are written between them.
 """
@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +18,7 @@ from h3data.bodies.names import JOIN, walk_attachments, walk_facts
 from h3data.errors import InputError
 from h3data.plugins import REFERENCE, own_version, trust
 from h3data.recording import (
+    STEP_NS,
     Body,
     Event,
     InputEvent,
@@ -29,13 +31,15 @@ from h3data.recording import Episode as EpisodeRecord
 from h3data.recording.assets.scenes import categories_of, scene_attachment, scene_records
 from h3data.recording.scans import scan_column
 from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.agents.skills import CONTROL, Action
 from sim_kinematic.crowd.errands import HandWork
-from sim_kinematic.policies.assignment import AssignedPolicy, works
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, works
 from sim_kinematic.policies.crowd.people import CrowdPolicy
+from sim_kinematic.policies.recorded import COMMAND, is_remote
 from sim_kinematic.sensing.agent_pictures import LIDAR_3D
 from sim_kinematic.sensing.lidar import ELEVATION_DEG, SCAN_M
 from sim_kinematic.tasks.episode import Episode
-from sim_kinematic.tasks.play import AgentSensors, Columns, WorldRollout
+from sim_kinematic.tasks.play import AgentSensors, Columns, DecisionLoop, WorldRollout
 from sim_kinematic.tasks.registry import reference_of
 from sim_kinematic.tasks.task import Task
 
@@ -214,6 +218,23 @@ class Recorder:
             self._close_block()
         self._take()
 
+    def decide(self, number: int) -> Any:
+        """Return the choice of an agent's policy, and record it as raw input if no column has it."""
+        choice = self.play.decide(number)
+        # commands of a server to an arm are in no column
+        if isinstance(choice, Action) and choice.skill == CONTROL and is_remote(self.play.policies[number].policy):
+            self.choice(number, choice)
+        return choice
+
+    def choice(self, number: int, choice: Any, reason: str = "") -> None:
+        """Record a choice of an agent as raw input; ``reason`` is why it interrupted a running skill."""
+        step = len(self)
+        payload = {"agent": number, "step": step, "choice": self.play.task.control.to_json(choice)}
+        if reason:
+            payload["interrupts"] = reason
+        text = msgspec.json.encode(payload).decode()
+        self.input(InputEvent(time_ns=step * STEP_NS, kind=COMMAND, user=number, payload=text))
+
     def input(self, event: InputEvent) -> None:
         """Record raw input of an agent that is controlled from outside."""
         self.inputs.append(event)
@@ -234,6 +255,21 @@ class Recorder:
     def flush(self) -> None:
         """Pass all rows to the sink now, so that a crash loses none of them."""
         self._close_block()
+
+    def final_info(self, info: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return entries of the recording's info that are known only at its end: of task, policies and caller (``info``).
+
+        A policy with such entries, for example the times that a server took, returns them from ``recorded_info()``; lists
+        of several policies are joined.
+        """
+        play, found = self.play, {}
+        for assigned in play.policies:
+            facts = getattr(assigned.policy, "recorded_info", None)
+            for name, value in (facts() if facts is not None else {}).items():
+                found[name] = [*found.get(name, []), *value] if isinstance(value, list) else value
+        # later entries win: the caller knows better than policies, and these than the task
+        measured = {} if self.sensors is None else {"sensors": self.sensors.facts}
+        return {**play.task.codec.final_info(play.episode, play, play.policies), **found, **(info or {}), **measured}
 
     def finish(self, info: Mapping[str, Any]) -> Recording:
         """Close the sink and return the whole recording, completed with entries that are known only at the end."""
@@ -326,6 +362,76 @@ def finished(
         inputs=tuple(inputs),
         attachments=header.attachments,
     )
+
+
+# --- playing with a recorder ---------------------------------------------------------------------------------------------
+def run(
+    play: WorldRollout,
+    recorder: Recorder | None = None,
+    *,
+    steps: int | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> str:
+    """Play an episode for at most ``steps`` steps, and return the reason why it ended.
+
+    The policies are those of ``play``. ``progress`` is called with 1 after every step.
+    """
+    # a DecisionLoop plays the first step as soon as it is made
+    if steps == 0:
+        return play.ended
+    turns, done = DecisionLoop(play), 0
+    while not turns.over:
+        if turns.asked is not None:
+            turns.answer(play.decide(turns.asked) if recorder is None else recorder.decide(turns.asked))
+            continue
+        done += 1
+        if recorder is not None:
+            recorder.add()
+        if progress is not None:
+            progress(1)
+        # before go_on, which would play the next step
+        if done == steps:
+            break
+        turns.go_on()
+    return play.ended
+
+
+def simulate(
+    task: Task,
+    episode: Episode,
+    policies: Assigned | None = None,
+    *,
+    episode_id: str = "0",
+    sink: Callable[[RecordingHeader], Sink] | None = None,
+    progress: Callable[[int], object] | None = None,
+    info: Mapping[str, Any] | None = None,
+    sensors: Sequence[str] = (),
+) -> Recording:
+    """Play one episode to its end and return its recording.
+
+    Args:
+        task: Task to play.
+        episode: Episode, such as one from `Task.sample`.
+        policies: Policies by agent or kind (`sim_kinematic.policies.assignment.assign`).
+        episode_id: Name of the episode within its dataset.
+        sink: Function that is called once with the header of the recording, and returns the receiver of rows and
+            events, such as a `RecordingWriter`. The receiver is closed at the end, and aborted on an error.
+        progress: Function that is called with 1 after every step.
+        info: Entries of the recording's info that override those of the task.
+        sensors: Names of sensors of robots that are recorded with every step, as columns ``metrics.agent_<i>.<sensor>``.
+
+    Raises:
+        InputError: There is no such policy, agent or sensor, or a policy returned no valid choice.
+    """
+    play = WorldRollout.of(task, episode, policies, measure=False)
+    recorder = Recorder.of(play, sink, episode_id=episode_id, sensors=sensors)
+    try:
+        run(play, recorder, progress=progress)
+        return recorder.finish(recorder.final_info(info))
+    except BaseException:
+        # also when the user stops the process: the rows so far stay readable
+        recorder.abort()
+        raise
 
 
 # --- the header -------------------------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, WorldRollout
-from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, finished
+from sim_kinematic.tasks.recorder import RecordedSensors, Recorder, finished, run
 from sim_kinematic.tasks.registry import find_task, task_registry
 from sim_kinematic.tasks.resimulation import (
     Verification,
@@ -37,7 +37,6 @@ from sim_kinematic.tasks.resimulation import (
     require_step,
     scene_and_map,
 )
-from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.task import Task
 
 

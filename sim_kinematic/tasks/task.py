@@ -19,9 +19,8 @@ from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster
 from sim_kinematic.policies.assignment import PolicyMaker
 from sim_kinematic.tasks.codec import EpisodeCodec, TaskCodec
-from sim_kinematic.tasks.control import Control
+from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
-from sim_kinematic.tasks.motion import VelocityControl
 from sim_kinematic.tasks.play import WorldRollout
 
 if TYPE_CHECKING:

@@ -41,9 +41,9 @@ from sim_kinematic.crowd.roles import read_role, routines
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.policies.crowd.people import CrowdPolicy
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import counterfactual, resume, verify
 from sim_kinematic.tasks.resume import restored_episode as restored
-from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.wander import Wander
 from tests.crowds.acting import chores_at
 

@@ -22,8 +22,8 @@ from sim_kinematic.policies.network import load_network
 from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.runner import simulate
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ from h3data_crowds.places import build_plan
 from h3data_crowds.scenarios import Scenarios, ScenarioSpec
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.runner import simulate
 
 CARDS = sorted(load_cards())
 

@@ -26,8 +26,8 @@ from h3data_pipelines.cli import main
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.html_replay.story import _events, add_story
 from sim_kinematic.tasks.rearrange.task import Rearrange, RearrangeSpec
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.runner import simulate
 
 MARKUP = "<img src=x onerror=alert(1)>"
 

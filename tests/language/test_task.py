@@ -47,8 +47,8 @@ from sim_kinematic.agents.roster import kinds_of
 from sim_kinematic.agents.skills import PRIMITIVES, Destination, SkillResult
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.rearrange import errand
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.runner import simulate
 
 HOME, OPEN_HOME, DRAWERS = "h3-homes/val#3", "small2-open:0", "kitchen_counter_2"
 

@@ -28,8 +28,8 @@ from h3data_llm.policy import FAULTS, LanguageModelPolicy
 from h3data_llm.replies import models_in
 from h3data_llm.tools import Names, called, kept, tools_for
 from h3data_pipelines.cli import main
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.runner import simulate
 from tests.llm.scripted_endpoint import call, chat_server, script, text
 
 HOME, OPEN_HOME = "h3-homes/val#3", "small2-open:0"

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from h3data.commands.executors import check_workers, opened
-from h3data.commands.shards import LostShardError
+from h3data.commands.executors import LostShardError, check_workers, opened
 from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data.progress import QUIET
 from h3data_pipelines.cli import main

@@ -15,8 +15,7 @@ from typing import Any
 
 import pytest
 
-from h3data.commands.executors import opened
-from h3data.commands.shards import LostShardError
+from h3data.commands.executors import LostShardError, opened
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
 from h3data_pipelines.execution import ray_cluster

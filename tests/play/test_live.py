@@ -26,7 +26,7 @@ from h3data_play.wire import BUSY
 from h3data_play.worker import rehearse
 from sim_kinematic.motion.step import discs_at
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.runner import Session, StepResult
+from sim_kinematic.tasks.sessions import Session, StepResult
 from tests.motion.test_walks import walk
 
 

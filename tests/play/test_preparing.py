@@ -17,7 +17,7 @@ from h3data_play.live import EpisodeFactory
 from h3data_play.plan import GameOrder, PlayPlan
 from h3data_play.worker import Worker
 from h3data_play.workers import Preparer, WorkerProcess
-from sim_kinematic.tasks.rearrange import solo
+from sim_kinematic.tasks.rearrange import codec
 
 ORDER = GameOrder(index=3, name="000003")
 MADE = {"manifest": {}, "agents": [1], "facts": {"solo_steps": 7}, "glb": ["a.glb", b"x"], "grid": ["b.sdf", b"y"]}
@@ -51,7 +51,7 @@ def test_what_the_spare_found_out_is_not_simulated_again(tmp_path: Path, monkeyp
     def simulated(*_: Any) -> int:
         raise AssertionError("the worlds of others would stand still")
 
-    monkeypatch.setattr(solo, "_simulated_solo_steps", simulated)
+    monkeypatch.setattr(codec, "_simulated_solo_steps", simulated)
     table = EpisodeFactory(PlayPlan(app="rearrange", out=str(tmp_path), partner="still", scenes="small:2"))
     game = table.begin(GameOrder(index=5, name="x", facts={"solo_steps": 432}))
     game.step()

@@ -17,8 +17,8 @@ from h3data.recording import Recording, read_mcap
 from h3data.scene import Scene
 from h3data.scenes import HomeSpec, build_home
 from h3data_play.plan import GameOrder
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.sources import EpisodeSource
 from tests.paths import ROOT
 from tests.play.test_live import Player, table

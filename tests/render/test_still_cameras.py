@@ -17,8 +17,8 @@ from h3data.render.shade.marks import SEEN, marked_runs
 from h3data.replay import Replay, camera_track
 from h3data.replay.stage import Stage
 from h3data_homes import HomeSpec, build_home
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.registry import find_task
-from sim_kinematic.tasks.runner import simulate
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 OUTPUTS = ("rgb", "depth", "instance", "triangle")

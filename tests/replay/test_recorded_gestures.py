@@ -10,7 +10,7 @@ from h3data.bodies import JOINT_INDEX
 from h3data.bodies.people.gestures import NAMES
 from h3data.recording import Event
 from h3data.replay import Replay
-from h3data.replay.recorded_gestures import RAMP_S, recorded_gestures
+from h3data.replay.posed_recording import RAMP_S, recorded_gestures
 
 HANDS = [JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"]]
 

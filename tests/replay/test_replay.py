@@ -12,7 +12,7 @@ from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data.geometry import transform_points
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
-from h3data.replay import Replay, camera_names, camera_track, link_poses
+from h3data.replay import Replay, camera_names, camera_track, posed_recording
 from h3data.replay.cameras import CUT_M
 from h3data.scene import Asset, FreeSpace, Instance, Mesh
 from h3data.scene.records import instance_matrix
@@ -65,8 +65,8 @@ def test_links_worked_out_in_blocks_are_those_worked_out_at_once(recording: Reco
     robot, poses = load_robot("quad_arm"), Replay(recording, stepping=False)
     base, joints = (recording.agent_column(0, name) for name in ("base_pose", "joint_pos"))
     expected = robot.link_matrices(base, joints).astype(np.float32)
-    monkeypatch.setattr(link_poses, "BLOCK_STEPS", 7)
-    monkeypatch.setattr(link_poses, "BLOCKS_KEPT", 2)
+    monkeypatch.setattr(posed_recording, "BLOCK_STEPS", 7)
+    monkeypatch.setattr(posed_recording, "BLOCKS_KEPT", 2)
     for steps in (None, np.arange(200), np.array([13]), np.array([-1, 0, 41, 6, 7, 7, 199]), np.zeros(0, np.intp)):
         rows = slice(None) if steps is None else steps
         np.testing.assert_array_equal(poses.link_matrices(0, steps), expected[rows])

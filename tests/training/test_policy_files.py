@@ -25,10 +25,11 @@ from h3data_training.worlds import ActionRepeatEnv
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies import visual_policy
 from sim_kinematic.policies.learned import VisualNavigation, navigation_of, network_of, stamped
-from sim_kinematic.policies.learned_chooser import learned_chooser
+from sim_kinematic.policies.rearrange import learned_chooser
 from sim_kinematic.policies.visual_policy import FILE_FORMAT, PolicyCard, VisualPolicy, save_policy
 from sim_kinematic.tasks.episode import with_options
-from sim_kinematic.tasks.runner import rollout, run
+from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.recorder import run
 from sim_kinematic.tasks.social_nav import TRAINING, SocialNav
 from sim_kinematic.tasks.sources import EpisodeSource
 from tests.training.runs import SMALL, small
@@ -133,7 +134,7 @@ def test_device_and_simulator_show_the_same(seen: str, light: Any) -> None:
     source = EpisodeSource(task, [bank.scenes[0]], spec=spec)
     episode = task.sample(bank.scenes[0], bank.floors[0], int(bank.seeds[0]), spec, source.roster)
     watched = Watched(untrained(settings, light=light))
-    run(rollout(task, episode, {"robot": watched}, measure=False))
+    run(WorldRollout.of(task, episode, {"robot": watched}, measure=False))
     worlds = ActionRepeatEnv(settings, bank, device="cpu", compile=False, hold=1)
     shown, _ = worlds.reset(seed=0)
     pixels = 0.0
@@ -246,7 +247,7 @@ def test_a_flat_policy_sees_flat_light_in_an_episode_whose_environment_is_baked(
     for light in ("flat", "baked"):
         episode = env.stepper.play.episodes[0]  # type: ignore[attr-defined]
         watched = Watched(untrained(settings).in_light(light))  # type: ignore[arg-type]
-        run(rollout(task, episode, {"robot": watched}, measure=False))
+        run(WorldRollout.of(task, episode, {"robot": watched}, measure=False))
         shown = watched.rows[0][0]["arm_rgb"].astype(int)
         assert (np.abs(shown - baked).mean() < 0.1) == (light == "baked")
         assert np.abs(shown - baked).mean() > 3 or light == "baked"

@@ -39,7 +39,7 @@ from sim_kinematic.policies.rearrange_observations import limits  # noqa: E402
 from sim_kinematic.tasks.play import WorldRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
-from sim_kinematic.tasks.runner import rollout, run  # noqa: E402
+from sim_kinematic.tasks.recorder import run  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
@@ -397,7 +397,7 @@ def test_device_and_full_rules_judge_alike(monkeypatch: pytest.MonkeyPatch) -> N
     device = [(p.ended == "success", p.steps) for p in players_of(episodes).play(jobs).played]
     full = []
     for episode in episodes:
-        play = rollout(task, episode, {"robot": "learn_single", "human": "plan_pop_3"})
+        play = WorldRollout.of(task, episode, {"robot": "learn_single", "human": "plan_pop_3"})
         full.append((run(play) == "success", play.step))
     # measured: success 0.93 and 0.97, steps 414 and 499
     (success, steps), (full_success, full_steps) = (np.mean(rows, 0) for rows in (device, full))

@@ -45,15 +45,14 @@ from sim_kinematic.policies.choosers.chooser_network import (
 )
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy, allowed, observed
 from sim_kinematic.policies.learned import SHIPPED_HELPERS, SHIPPED_PARTNERS, network_of
-from sim_kinematic.policies.learned_chooser import learned_chooser
-from sim_kinematic.policies.rearrange import ZSC_TEN, planner
+from sim_kinematic.policies.rearrange import ZSC_TEN, learned_chooser, planner
 from sim_kinematic.policies.rearrange_observations import limits, observe
 from sim_kinematic.policies.visual_policy import save_policy
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.recorder import run
 from sim_kinematic.tasks.registry import find_task
-from sim_kinematic.tasks.runner import rollout, run
 
 DRAWN = PopulationSettings(scenes="h3-homes/train#0", episodes_per_home=2)
 """Of the episodes; tests cut them short, which has no effect on how they begin."""
@@ -644,7 +643,7 @@ def test_a_run_leaves_policies_that_play(whole: Path, episodes: Sequence[Rearran
     task, plays = find_task("rearrange"), []
     for _ in range(2):
         named = {"robot": f"weights:{whole / POLICY}", "human": f"weights:{whole / 'partner_0.npz'}"}
-        play = rollout(task, episodes[1], named)
+        play = WorldRollout.of(task, episodes[1], named)
         run(play)
         play.team.finish()
         plays.append([(s.agent, s.name, s.target, s.end_step) for s in play.spans])

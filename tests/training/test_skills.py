@@ -33,8 +33,8 @@ from sim_kinematic.policies.skills.player import NetworkSkill
 from sim_kinematic.policies.visual_policy import PolicyCard, VisualPolicy, save_policy
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, draw_starts
 from sim_kinematic.tasks.sources import EpisodeSource
 from tests.training.torch.capturable import CapturableOnly

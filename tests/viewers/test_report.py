@@ -18,7 +18,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from h3data.commands.shards import LostShardError
+from h3data.commands.executors import LostShardError
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import measure_files

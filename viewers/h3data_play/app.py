@@ -14,7 +14,7 @@ from h3data.plugins import Registry
 from h3data_play.drivers import Driver, PersonDriver, RobotDriver
 from h3data_play.messages import Act
 from sim_kinematic.tasks.rearrange.codec import spoken
-from sim_kinematic.tasks.runner import Session, StepResult
+from sim_kinematic.tasks.sessions import Session, StepResult
 from sim_kinematic.tasks.task import Task
 
 _LEAF = "leaf"

@@ -31,7 +31,7 @@ from h3data_play.wire import BODY_JOINTS
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.recorder import finished
-from sim_kinematic.tasks.runner import Session
+from sim_kinematic.tasks.sessions import Session
 
 GRID_UNIT_M = 1e-3
 """Unit to which distances of the grid are rounded [m]."""

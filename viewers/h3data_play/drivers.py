@@ -51,7 +51,7 @@ from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.skills import Action, Message, sentence
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.tasks.runner import Session, StepResult
+from sim_kinematic.tasks.sessions import Session, StepResult
 
 CANCEL = Action("wait", steps=1)
 """Action that interrupts a running skill and has no other effect."""

@@ -37,7 +37,7 @@ from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.recorded import recorded_commands
 from sim_kinematic.tasks.episode import Episode, with_options
 from sim_kinematic.tasks.registry import find_task
-from sim_kinematic.tasks.runner import Session, StepResult
+from sim_kinematic.tasks.sessions import Session, StepResult
 from sim_kinematic.tasks.sources import EpisodeSource
 
 MOST_RTT_MS = 1e6

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import logging
+import math
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from h3data.bodies.robots.extents import resting_hull
 from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
 from h3data.bodies.robots.robot_files import (
     DESCRIPTIONS,
@@ -22,16 +24,17 @@ from h3data.bodies.robots.robot_files import (
     is_built_in,
 )
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
-from h3data.bodies.robots.stand_ins import with_stand_ins
-from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, mesh_files, read_urdf
+from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, mesh_files, missing_meshes, read_urdf
+from h3data.bodies.robots.urdf_parts import UrdfGeometry
 from h3data.errors import H3DataError, InputError
-from h3data.geometry import Array, normalized, pose_from_matrix
+from h3data.geometry import IDENTITY_POSE, Array, normalized, pose_from_matrix
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR
 from h3data.mesh.loading import load_mesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import flat_shaded, joined, moved, painted
 from h3data.mesh.primitives import box_mesh, round_mesh
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
+from h3data.scene.shape_bounds import shape_bounds
 
 
 def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in: bool = True) -> Robot:
@@ -321,3 +324,83 @@ def _camera(settings: CameraSettings, link: int) -> RobotCamera:
         height=settings.height,
         hfov_deg=settings.hfov_deg,
     )
+
+
+# --- boxes for missing meshes -----------------------------------------------------------------------------------------
+def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
+    """Replace missing meshes of a URDF by boxes; return it with the names of the links that needed no replacement.
+
+    A warning names the missing files. If no link has collision shapes, the visual shapes replace them.
+    """
+    missing = missing_meshes(urdf.links)
+    if missing:
+        named = ", ".join(str(path) for path in missing[:3]) + (", ..." if len(missing) > 3 else "")
+        logging.getLogger(__name__).warning(
+            "%s: boxes stand in for %d missing mesh file(s) (%s). Hint: keep the folder of the URDF whole. File: %s",
+            *(urdf.name, len(missing), named, urdf.path),
+        )
+    there = [
+        tuple(tuple(p for p in parts if p.geometry.file not in missing) for parts in (link.visuals, link.collisions))
+        for link in urdf.links
+    ]
+    # where no link has any, what is seen is also what touches
+    has_collisions = any(link.collisions for link in urdf.links)
+    links = []
+    for link, (visuals, collisions) in zip(urdf.links, there, strict=True):
+        box = (_box(urdf, link),) if link.visuals or link.collisions else ()
+        # a link whose files are all there stays as it is, also without any: frames have no shape
+        shown = visuals if len(visuals) == len(link.visuals) else visuals or collisions or box
+        solid = collisions if len(collisions) == len(link.collisions) else collisions or visuals or box
+        links.append(replace(link, visuals=shown, collisions=solid if has_collisions else shown))
+    sure = frozenset(link.name for link, (_, solid) in zip(urdf.links, there, strict=True) if solid == link.collisions)
+    return replace(urdf, links=tuple(links)), sure
+
+
+def _box(urdf: Urdf, link: UrdfLink) -> UrdfPart:
+    ends = [joint.origin[:3, 3] for joint in urdf.joints if joint.parent == link.name]
+    # distance of a joint beyond which a child is a sensor or a frame on the floor rather than the end of the
+    # link [m]
+    reach_m = 0.6
+    points = [np.zeros(3), *(end for end in ends if np.linalg.norm(end) <= reach_m)]
+    # limited, since moments that somebody made up may mean a box of many metres
+    if link.inertia_box is not None:
+        corners = np.array(np.meshgrid(*[(-half, half) for half in np.minimum(link.inertia_box, reach_m)])).reshape(
+            3, -1
+        )
+        points += list((link.inertial[:3, :3] @ corners).T + link.inertial[:3, 3])
+    low, high = np.min(points, axis=0), np.max(points, axis=0)
+    # 0.04: least side of a box
+    spare = np.maximum(0.04 - (high - low), 0.0) / 2
+    low, high = low - spare, high + spare
+    origin = np.eye(4)
+    origin[:3, 3] = (low + high) / 2
+    x, y, z = (high - low).tolist()
+    # the first colour of the visuals that are missing, so that the robot keeps its look
+    color = next((part.color for part in link.visuals if part.color is not None), None)
+    return UrdfPart(geometry=UrdfGeometry(kind="box", size=(x, y, z)), origin=origin, color=color)
+
+
+def resting_bounds(robot: Robot) -> NDArray[np.float64]:
+    """Return the lower and upper corners [S, 2, 3] [m] of all collision shapes of a resting robot, in its root frame."""
+    frames = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
+    bounds = [shape_bounds(shape, frames[k]) for k, link in enumerate(robot.links) for shape in link.shapes]
+    return np.array(bounds).reshape(-1, 2, 3)
+
+
+def resting_hull(robot: Robot) -> Array:
+    """Return positions along x [H] [m] of discs of the base's radius that cover the whole resting robot and its base discs."""
+    bounds, radius = resting_bounds(robot), robot.base_radius_m
+    back, front = float(robot.base_discs.min()), float(robot.base_discs.max())
+    # discs cover a radius beyond their places
+    if len(bounds):
+        back, front = min(back, bounds[:, 0, 0].min() + radius), max(front, bounds[:, 1, 0].max() - radius)
+    # distance between two discs of a row, in radii: between them the row is 71% as wide as a disc
+    spacing = 1.4
+    # less a little, so that rounding does not add a disc
+    gaps = math.ceil((front - back) / (spacing * radius) - 1e-9)
+    return np.linspace(back, front, gaps + 1) if gaps > 0 else np.array([(back + front) / 2])
+
+
+def row_radius(places: Array, points: Array) -> float:
+    """Return the smallest radius [m] of discs at positions [D] [m] along x that cover floor points ``(x, z)`` [N, 2] [m]."""
+    return float(np.hypot(points[:, None, 0] - places, points[:, None, 1]).min(1).max())

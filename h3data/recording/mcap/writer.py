@@ -12,7 +12,9 @@ import mimetypes
 import os
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self, cast
@@ -21,7 +23,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.recording.mcap.chunks import CutRecording, repeats, slices
 from h3data.recording.mcap.header import (
     PROFILE,
     TOPIC_MESSAGES,
@@ -33,7 +34,6 @@ from h3data.recording.mcap.header import (
 )
 from h3data.recording.mcap.part import PartFile, part_path, publish
 from h3data.recording.mcap.read import read_mcap
-from h3data.recording.mcap.rows import PendingRows, native_rows
 from h3data.recording.mcap.shared_files import RECORD, share_files
 from h3data.recording.mcap.wire import (
     WireLayout,
@@ -45,6 +45,7 @@ from h3data.recording.mcap.wire import (
 )
 from h3data.recording.records import SCHEMA_VERSION, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from h3data.recording.schema import (
+    Layout,
     Topic,
     default_layout,
     layout_hash,
@@ -302,7 +303,9 @@ class RecordingWriter:
     def _add(self, rows: Mapping[str, ArrayLike]) -> int:
         """Hold rows until they are written; return their number."""
         self._require_open()
-        arrays = native_rows(rows)
+        arrays = {name: np.asarray(values) for name, values in rows.items()}
+        # numpy keeps the byte order of files that were read, but the wire has only one
+        arrays = {n: a if a.dtype.isnative else a.astype(a.dtype.newbyteorder("=")) for n, a in arrays.items()}
         if self._rows is None:
             self._rows = self._fix_layout({name: a[:0] if a.ndim else a for name, a in arrays.items()})
         before = self._rows.steps
@@ -442,3 +445,159 @@ def pack_mcap(
         no_room = isinstance(error, OSError | MemoryError) or isinstance(error.__cause__, OSError)
         if not no_room:
             raise
+
+
+class PendingRows:
+    """Buffer of rows between `RecordingWriter.append` and the file, which are checked and then encoded together."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.steps = 0
+        """Number of rows added so far."""
+        self.taken = 0
+        """Number of rows returned by `take` so far."""
+        self._kinds = {c.name: (np.dtype(c.dtype), c.shape) for c in layout}
+        self._pending: list[dict[str, NDArray[Any]]] = []
+        self._times: list[NDArray[np.int64]] = []
+        self._last_time: int | None = None
+
+    def add(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Add a copy of n rows to the buffer; ``rows`` has every column with shape [n, ...].
+
+        Raises:
+            InputError: columns are missing or have another dtype or shape, or time does not increase.
+        """
+        count = self._check(arrays)
+        if not count:
+            return
+        self._pending.append({name: a.copy() for name, a in arrays.items()})  # callers reuse their buffers
+        self._last_time = int(arrays["time_ns"][-1])
+        self.steps += count
+
+    def take(self) -> dict[str, NDArray[Any]]:
+        """Remove all rows from the buffer and return them joined; {} if there are none."""
+        pending, self._pending = self._pending, []
+        if not pending:
+            return {}
+        rows = pending[0] if len(pending) == 1 else {n: np.concatenate([p[n] for p in pending]) for n in pending[0]}
+        self._times.append(rows["time_ns"])
+        self.taken += len(rows["time_ns"])
+        return rows
+
+    def time_of(self, step: int) -> int:
+        """Return ``time_ns`` of an added row; for any other step, that of the nearest row."""
+        step = min(step, self.steps - 1)
+        if step >= self.taken:
+            return self._last_time or 0  # at most one flush interval off
+        if not self._times:
+            return 0
+        if len(self._times) > 1:
+            # joined when somebody asks, not at each flush, which would copy all times again and again
+            self._times = [np.concatenate(self._times)]
+        return int(self._times[0][max(step, 0)])
+
+    def _check(self, arrays: dict[str, NDArray[Any]]) -> int:
+        """Return the number of rows; an `InputError` unless all columns have it, with the dtype and shape of the layout."""
+        times = arrays.get("time_ns")
+        count = len(times) if times is not None and times.ndim else 0
+        faults = []
+        for name, array in arrays.items():
+            kind = self._kinds.get(name)
+            if kind is None:
+                faults.append(f"{name} is not one of the columns")
+            elif array.dtype != kind[0] or array.shape != (count, *kind[1]):
+                faults.append(f"{name} must be {kind[0]} {[count, *kind[1]]}, is {array.dtype} {list(array.shape)}")
+        if len(arrays) - len(faults) < len(self._kinds):
+            faults += [f"{name} is missing" for name in self._kinds if name not in arrays]
+        if faults:
+            raise InputError(f"Rows do not fit this recording: {'; '.join(faults[:8])}.", code="H3-RECORDING-033")
+        first_is_late = self._last_time is None or count == 0 or int(arrays["time_ns"][0]) > self._last_time
+        if not first_is_late or (count > 1 and np.any(np.diff(arrays["time_ns"]) <= 0)):
+            raise InputError(
+                "time_ns must increase strictly from row to row, also from one append to the next.",
+                code="H3-RECORDING-034",
+            )
+        return count
+
+
+# --- cutting a finished recording into chunks -------------------------------------------------------------------------
+CHUNK_S, WORTH_BYTES = 10.0, 20
+"""Longest chunk [s of the episode], which a truncated or damaged file loses in addition to the missing part, and the
+saving per row [bytes] above which a longer chunk is used (62 for a looping clip, 0 to 18 in simulations)."""
+
+
+def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Return the first row and the row after the last of each interval of 10 s, for increasing times ``times_ns`` [T] [ns].
+
+    Without rows there is one empty interval.
+    """
+    if not len(times_ns):
+        return [(0, 0)]
+    since = times_ns.astype(np.float64) - float(times_ns[0])  # differences of int64 may overflow
+    # counted from the first row: a recording cut out of another does not begin at time 0
+    starts = np.flatnonzero(np.diff(since // (CHUNK_S * 1e9), prepend=-1.0))
+    return list(pairwise([*starts.tolist(), len(times_ns)]))
+
+
+def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
+    """Return whether poses repeat bit for bit over more than 10 s, such as a looping clip in local rotations.
+
+    Chunks cannot refer to each other, so each would store the clip again: 258 instead of 157 B per step for a clip of
+    60 frames. Such a recording gets chunks of the largest size. If its file is truncated inside a chunk, the complete
+    compressed blocks before the cut can still be read (`scan.take_beginning`).
+    """
+    import zstandard
+
+    bounds = slices(columns["time_ns"])
+    # only poses are compared: they are most of a recording, and what a clip repeats
+    compared = ("object_pose", "joint_pos", "joint_quat")
+    poses = [column for name, column in columns.items() if name.rpartition(".")[2] in compared and column.size]
+    if len(bounds) < 2 or not poses:
+        return False
+    # two chunks are enough to tell: a clip that repeats does so from the beginning
+    (start, middle), (_, stop) = bounds[:2]
+    rows = np.concatenate([np.ascontiguousarray(c[:stop]).reshape(stop, -1).view(np.uint8) for c in poses], axis=1)
+    first, second, both = (
+        len(zstandard.compress(rows[a:b].tobytes(), 1)) for a, b in ((start, middle), (middle, stop), (start, stop))
+    )
+    return first + second - both > WORTH_BYTES * (stop - start)
+
+
+class CutRecording:
+    """Events, inputs and skills of a recording, which are returned step by step while it is written.
+
+    They are returned in their recorded order, which need not be the order of time; the last chunk contains the rest.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._times: NDArray[Any] = recording.columns["time_ns"]
+        self._events = self._inputs = 0
+        self._open = dict(enumerate(recording.skills))
+
+    def events(self, stop: int) -> Iterator[Event]:
+        """Yield the events before step ``stop`` that were not returned yet."""
+        events = self._recording.events
+        while self._events < len(events) and (stop == len(self._times) or events[self._events].step < stop):
+            self._events += 1
+            yield events[self._events - 1]
+
+    def inputs(self, stop: int) -> Iterator[InputEvent]:
+        """Yield the inputs up to the time of step ``stop - 1`` that were not returned yet."""
+        inputs = self._recording.inputs
+        last = stop == len(self._times)
+        while self._inputs < len(inputs) and (last or inputs[self._inputs].time_ns <= self._times[stop - 1]):
+            self._inputs += 1
+            yield inputs[self._inputs - 1]
+
+    def skills(self, stop: int) -> Iterator[tuple[int, SkillSpan]]:
+        """Yield the number and span of each skill that started before step ``stop``.
+
+        Skills that were already yielded as complete are left out.
+
+        A skill that has not ended is ``running`` up to step ``stop - 1``.
+        """
+        for number, span in list(self._open.items()):
+            if span.end_step < stop or stop == len(self._times):
+                yield number, self._open.pop(number)
+            elif span.start_step < stop:
+                yield number, replace(span, end_step=stop - 1, outcome="running", reason="")

@@ -116,12 +116,12 @@ def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, 
 
     The values are 0 for components without finite values.
     """
-    any_finite = m.count > 0
     named = {"min": m.low, "max": m.high, "mean": m.mean, "std": m.std}
     if m.quantiles is not None:
         named |= dict(zip(QUANTILES, m.quantiles, strict=True))
-    out = {k: np.nan_to_num(np.where(any_finite, v, 0.0)).reshape(shape).tolist() for k, v in named.items()}
-    return {**out, "count": [frames]}
+    # all at once: writers call this for each feature of each episode
+    values = np.nan_to_num(np.where(m.count > 0, np.stack(list(named.values())), 0.0))
+    return {**{name: row.reshape(shape).tolist() for name, row in zip(named, values, strict=True)}, "count": [frames]}
 
 
 def pack_moments(moments: Mapping[str, Moments]) -> str:

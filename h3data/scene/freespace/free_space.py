@@ -6,7 +6,7 @@ Navigation, step kernels, rewards and metrics all use this object. Step kernels 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -20,6 +20,7 @@ from h3data.geometry import Array, ground_pose, sloped_pose
 from h3data.kernels.entries import Entries
 from h3data.scene.floor_heights import STEPS, floor_heights
 from h3data.scene.freespace import store
+from h3data.scene.freespace._distance_field import corner_distances, field_many
 from h3data.scene.freespace._geodesic import first_leg, geodesic_many, path_pair
 from h3data.scene.freespace._lattice import Lattice, build_lattice, lattice_step, quick_distance_many
 from h3data.scene.freespace._points import SNAP_M, each_pair, each_point, floor_points, one_point
@@ -31,10 +32,8 @@ from h3data.scene.freespace._sdf import (
     sdf_gradient_many,
     trace_rays,
 )
-from h3data.scene.freespace._visibility import locate_many, snap_many
-from h3data.scene.freespace.build import build_from_scene, scene_key, without_stairs
-from h3data.scene.freespace.distance_field import DistanceField
-from h3data.scene.freespace.floor_map import FloorMap
+from h3data.scene.freespace._visibility import Graph, locate_many, snap_many
+from h3data.scene.freespace.build import FloorMap, build_from_scene, scene_key, without_stairs
 from h3data.scene.records import Scene
 
 __all__ = ["FreeSpace", "line_of_sight", "sample_sdf", "sdf_gradient"]
@@ -299,3 +298,46 @@ class FreeSpace(FloorMap):
             f"FreeSpace(radius {self.radius_m} m, floor {self.floor_y:.3f} m, {len(self.polygon.geoms)} islands, "
             f"{self.polygon.area:.2f} m2, grid {nx} x {nz}, {len(self.graph.nodes)} corners)"
         )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DistanceField:
+    """Shortest-path distance from any floor point to the nearest of some fixed goals, without a grid.
+
+    The distance equals `FreeSpace.geodesic` within 1e-5 m (float32 tables) and takes about half its time per point.
+    `FreeSpace.distance_field` creates it.
+    """
+
+    graph: Graph
+    goals: NDArray[np.float64]
+    """Goals as moved to the free area, shape [K, 2] [m]."""
+    corner: NDArray[np.float64] = field(repr=False)
+    """Distance from every corner of the visibility graph, shape [n] [m]."""
+
+    @classmethod
+    def to(cls, graph: Graph, goals: NDArray[np.float64]) -> DistanceField:
+        """Return the field of goals [K, 2] [m] on a free area; without goals, all distances are infinite."""
+        goals = np.ascontiguousarray(goals, np.float64)
+        return cls(graph=graph, goals=goals, corner=corner_distances(graph, goals))
+
+    def distance(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
+        """Return the length [...] [m] of the shortest path from points [..., 2] to the nearest goal.
+
+        Lengths are infinite where there is no path.
+        """
+        return self.distance_and_direction(points, max_snap_m=max_snap_m)[0]
+
+    def direction(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
+        """Return the unit vector [..., 2] along the shortest path from points [..., 2]: minus the gradient of `distance`.
+
+        The vector is NaN where there is no path, and zero at a goal. Points off the free area are moved to it first.
+        """
+        return self.distance_and_direction(points, max_snap_m=max_snap_m)[1]
+
+    def distance_and_direction(
+        self, points: ArrayLike, *, max_snap_m: float = SNAP_M
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return `distance` [...] [m] and `direction` [..., 2] together, in the time of one of them."""
+        graph, corner, goals = self.graph, self.corner, self.goals
+        both = each_point(lambda p: field_many(graph, corner, goals, p, max_snap_m), points)
+        return both[..., 0], both[..., 1:]

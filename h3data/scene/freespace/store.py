@@ -22,7 +22,7 @@ from h3data.files import part_file
 from h3data.scene.floor_heights import COLUMNS, LEVEL
 from h3data.scene.freespace._lattice import Lattice
 from h3data.scene.freespace._visibility import Graph
-from h3data.scene.freespace.floor_map import FloorMap
+from h3data.scene.freespace.build import FloorMap
 
 log = logging.getLogger(__name__)
 

@@ -19,7 +19,7 @@ from h3data.scene.open import named_scenes, open_free_space, open_scene
 from h3data_crowds.cards import load_cards
 from h3data_crowds.scenarios import Scenarios, ScenarioSpec
 from sim_kinematic.agents.roster import make_roster
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import simulate
 
 SCENE, SEED, COLUMNS = "medium:1", 1, 5
 HALF_M, RADIUS_M, EVERY = 4.2, 0.25, 30

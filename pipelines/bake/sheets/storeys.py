@@ -27,8 +27,8 @@ from h3data.scene import FreeSpace, Room, Scene
 from h3data_homes import HomeSpec, build_home
 from h3data_light.bake import lit_scene
 from h3data_pipelines.assets.scene_plan import scene_map
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.registry import find_task
-from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.wander import Wander
 
 SEED, WIDTH = 3, 1920

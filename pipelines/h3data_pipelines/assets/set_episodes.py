@@ -8,7 +8,7 @@ from h3data.scene.scene_sets import SceneEntry, SceneSet
 from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import ROBOT_BODY
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.tasks.social_nav.task import SocialNav
+from sim_kinematic.tasks.social_nav import SocialNav
 
 
 def set_episode(scenes: SceneSet, entry: SceneEntry, index: int, *, seed: int = 0) -> SocialNavEpisode:

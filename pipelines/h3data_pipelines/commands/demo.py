@@ -141,7 +141,7 @@ class Demo:
     def _simulate(self, scene: Scene, path: Path) -> Recording:
         from h3data.recording import RecordingWriter
         from sim_kinematic.motion.spec import NATURAL_WALKER, SocialNavSpec
-        from sim_kinematic.tasks.runner import simulate
+        from sim_kinematic.tasks.recorder import simulate
         from sim_kinematic.tasks.social_nav import SocialNav
 
         spec = SocialNavSpec(

@@ -33,9 +33,8 @@ from h3data.commands.command import (
     keeping,
     read_overrides,
 )
-from h3data.commands.executors import ExecutorOption, check_workers, opened
+from h3data.commands.executors import Executor, ExecutorOption, check_workers, opened
 from h3data.commands.options import command_line, command_of
-from h3data.commands.shards import Executor
 from h3data.errors import H3DataError, InputError, JobStopError, suggest_keywords
 from h3data.progress import progress
 from h3data.recording.storage import AnyPath, place

@@ -18,7 +18,7 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
-from h3data.commands.shards import LostShardError, R, S
+from h3data.commands.executors import LostShardError, R, S
 
 _log = logging.getLogger(__name__)
 

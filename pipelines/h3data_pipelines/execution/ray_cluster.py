@@ -19,7 +19,7 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from h3data.commands.shards import LostShardError, R, S
+from h3data.commands.executors import LostShardError, R, S
 from h3data.errors import H3DataError, InputError, MissingExtraError
 from h3data_pipelines.execution.ray_worker import Origin, portable_task
 

@@ -128,7 +128,7 @@ class Job:
 
     def record(self) -> Recording:
         """Play the episode and return its recording."""
-        from sim_kinematic.tasks.runner import simulate
+        from sim_kinematic.tasks.recorder import simulate
 
         chosen = {"robot": None if self.policy == SOLO else self.policy, "human": self.partner}
         return simulate(

@@ -53,7 +53,7 @@ def play_evaluation(job: Evaluation) -> tuple[dict[str, Any], list[Recording]]:
         JobStopError: the whole job cannot continue.
     """
     from h3data.metrics import measure
-    from sim_kinematic.tasks.runner import simulate
+    from sim_kinematic.tasks.recorder import simulate
 
     rows: list[dict[str, Any]] = []
     failed: list[str] = []

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
-from h3data.commands.shards import Executor
+from h3data.commands.executors import Executor
 from h3data.errors import InputError, JobStopError
 from h3data.recording import Recording
 from h3data.render.light.sources import LightMode

@@ -191,8 +191,8 @@ def _task(name: str) -> Callable[[], None]:
         from h3data.replay import Replay, camera_track
         from h3data.scene.open import named_scenes, open_scene
         from sim_kinematic.tasks.episode import with_options
+        from sim_kinematic.tasks.recorder import simulate
         from sim_kinematic.tasks.registry import find_task
-        from sim_kinematic.tasks.runner import simulate
 
         task = find_task(name)
         # agents that move about need no more kernels later; those with skills get to some of them after a minute

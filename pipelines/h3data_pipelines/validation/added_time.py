@@ -9,8 +9,8 @@ from h3data.errors import InputError
 from h3data.recording import Recording
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.recorder import run
 from sim_kinematic.tasks.resume import agent_numbers, assigned_policies, restored_episode
-from sim_kinematic.tasks.runner import run
 from sim_kinematic.tasks.wander import Wander
 
 

@@ -33,11 +33,10 @@ from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.sensing.eyes import shared_renderer
 from sim_kinematic.sensing.watching import DebugRenderer
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode
-from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.play import DecisionLoop, WorldRollout
 from sim_kinematic.tasks.recorder import Recorder
 from sim_kinematic.tasks.resimulation import scene_and_map
 from sim_kinematic.tasks.resume import task_of
-from sim_kinematic.tasks.runner import DecisionLoop
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 
 if TYPE_CHECKING:

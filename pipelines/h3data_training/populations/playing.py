@@ -35,7 +35,7 @@ from sim_kinematic.policies.visual_policy import picture_of
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import run
+from sim_kinematic.tasks.recorder import run
 
 LOST_IN_A_ROW = 3
 """Number of consecutive lost processes, without an episode in between, after which a run gives up."""

@@ -13,12 +13,12 @@ import torch
 from torch import Tensor
 
 from h3data.bodies import load_robot
-from h3data_training.held import ActionRepeat
 from h3data_training.skills.settings import SkillSettings
 from h3data_training.torch.graph import can_fuse, fused, overwrite
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.torch.skills.teacher import taught
 from h3data_training.torch.skills.worlds import SkillTensors
+from h3data_training.worlds import ActionRepeat
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.sensing.sensor import scaled_depth
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from h3data.errors import InputError
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.geodesic import ShortestPath
 from h3data_training.torch.task_worlds import Play, TaskTensors
@@ -59,16 +57,6 @@ class SocialNavTensors(TaskTensors):
     def path_to_person(self, play: Play) -> ShortestPath:
         """Return the known shortest paths from robots to people."""
         return ShortestPath(play.memory["geodesic"], play.memory["towards"])
-
-    def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
-        """Return the observations of `ON_DEVICES`, float32 [W, n] each.
-
-        Raises:
-            InputError: there is no such observation on a device.
-        """
-        if strangers := [name for name in names if name not in ON_DEVICES]:
-            raise InputError(f"On a device there is no observation {strangers[0]!r}.", code="H3-TRAIN-075")
-        return super().observations(names, play)
 
 
 def _distance(geodesic: Tensor, gap: Tensor) -> Tensor:

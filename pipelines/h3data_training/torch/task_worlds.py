@@ -36,7 +36,7 @@ from sim_kinematic.motion.spec import PersonContact
 from sim_kinematic.motion.state import ROBOT
 from sim_kinematic.sensing.sensor import in_base_frame
 from sim_kinematic.sensing.table import Pose, SensorContext, sensed
-from sim_kinematic.tasks.motion import resting_arm
+from sim_kinematic.tasks.control import resting_arm
 from sim_kinematic.tasks.task import Task
 
 

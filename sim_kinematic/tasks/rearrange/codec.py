@@ -40,7 +40,8 @@ from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.policies.assignment import SOLO, AssignedPolicy
-from sim_kinematic.policies.rearrange import population_of
+from sim_kinematic.policies.rearrange import planner, population_of
+from sim_kinematic.policies.searching import Seeking
 from sim_kinematic.tasks.codec import (
     EpisodeCodec,
     EpisodePlace,
@@ -68,7 +69,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     seconds_alone,
     starts_of,
 )
-from sim_kinematic.tasks.rearrange.solo import keep_solo_steps, solo_steps_of
+from sim_kinematic.tasks.recorder import run
 
 
 class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
@@ -522,3 +523,35 @@ def _starts(episode: RearrangeEpisode) -> dict[str, list[Any]]:
         robot, human = episode.pair_starts.places.tolist()
         return {"robot_start": robot, "human_start": human}
     return {"starts": episode.starts.tolist()}
+
+
+_SOLO_STEPS = "_solo_steps"
+
+
+def solo_steps_of(task: Any, episode: RearrangeEpisode) -> int:
+    """Return the number of steps in which one person alone brings all objects to their goals (paper: ``L_human``).
+
+    The number is at most ``max_steps``. It is computed by simulating the first person, or the first robot if there are
+    no people. ``task`` is the `sim_kinematic.tasks.task.Task` of the episode, which caches the number.
+    """
+    # beside the fields of the frozen episode: replace() leaves it out, so other agents count anew
+    if _SOLO_STEPS not in vars(episode):
+        vars(episode)[_SOLO_STEPS] = _simulated_solo_steps(task, episode)
+    return vars(episode)[_SOLO_STEPS]
+
+
+def _simulated_solo_steps(task: Any, episode: RearrangeEpisode) -> int:
+    kinds = kinds_of(episode.roster)
+    first = kinds.index("human") if "human" in kinds else 0
+    alone = episode.only(first)
+    policy: Any = planner("both", episode.seed, len(episode.targets))
+    # the reference has to search as well, or it would know more than those compared with it
+    policy = Seeking(policy) if episode.spec.observe == "seen" else policy
+    play = WorldRollout.of(task, alone, [AssignedPolicy(policy, "both", kinds[first], "both")])
+    run(play)
+    return play.step
+
+
+def keep_solo_steps(episode: RearrangeEpisode, steps: int) -> None:
+    """Store a known number of steps for `solo_steps_of` to return."""
+    vars(episode)[_SOLO_STEPS] = steps

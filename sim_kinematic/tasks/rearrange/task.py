@@ -23,12 +23,12 @@ from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
 from sim_kinematic.policies.choosers.recurrent_chooser import RecurrentSkillPolicy
 from sim_kinematic.policies.learned import SHIPPED_HELPERS, SHIPPED_PARTNERS, is_learned, naming, stamped
-from sim_kinematic.policies.learned_chooser import learned_chooser
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
     ROBOT_POLICIES,
     Chooser,
     Planner,
+    learned_chooser,
     partner_plan,
     partner_policy,
     robot_policy,

@@ -20,12 +20,12 @@ from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.spec import OracleSpec
 from sim_kinematic.policies.assignment import assign
 from sim_kinematic.policies.policy import External
-from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.play import DecisionLoop, WorldRollout
 from sim_kinematic.tasks.rearrange.codec import rules_from_json, rules_to_json
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.runner import DecisionLoop, rollout, simulate
 from sim_kinematic.tasks.skills.errands import errands_of, stand_places
 from sim_kinematic.tasks.sources import EpisodeSource, Home, scene_sources
 
@@ -194,7 +194,7 @@ def test_agents_that_meet_touch_and_pass_through_each_other(episode: RearrangeEp
     through = replace(episode, starts=starts, spec=replace(ORACLE_RULES, end_on_collision=False))
     task, ended = Rearrange(), []
     for rules in (through, replace(through, spec=ORACLE_RULES)):
-        play = rollout(task, rules, {"robot": "still", "human": "both"})
+        play = WorldRollout.of(task, rules, {"robot": "still", "human": "both"})
         turns, touched = DecisionLoop(play), 0
         while not turns.over:
             if turns.asked is not None:

@@ -22,7 +22,7 @@ from sim_kinematic.agents.sitting import sit
 from sim_kinematic.crowd.seating import SeatPlace, Seats
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.runner import Session
+from sim_kinematic.tasks.sessions import Session
 
 
 @pytest.fixture(scope="module")

@@ -25,8 +25,9 @@ from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.yielding import NO_PATH, discs_of, in_the_way, path_around
 from sim_kinematic.motion.spec import NATURAL_WALKER, STEP_S, WalkerSpec
 from sim_kinematic.motion.state import WorldState
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.tasks.runner import rollout, run
+from sim_kinematic.tasks.recorder import run
 from tests.sim.avoidance.commands import Seen, onlookers
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange
 
@@ -404,7 +405,7 @@ def test_who_has_finished_clears_a_doorway(home: Scene, free: FreeSpace) -> None
     places = world.starts.copy()
     places[1, :2] = narrow
     world = replace(world, starts=places)
-    play = rollout(REARRANGE, world, {"human": "both,still,still"})
+    play = WorldRollout.of(REARRANGE, world, {"human": "both,still,still"})
     assert run(play) == "success"
     idle = play.team.company.track(1)
     assert np.hypot(*(idle[-1] - narrow)) > 0.3  # the person went out of the way

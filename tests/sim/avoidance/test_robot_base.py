@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from h3data.bodies import Robot, load_robot
-from h3data.bodies.robots.extents import resting_bounds, row_radius
+from h3data.bodies.robots.robot_loading import resting_bounds, row_radius
 from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE
 from h3data.scene import FreeSpace, Scene

@@ -25,7 +25,7 @@ from sim_kinematic.avoidance.stand_offs import TaskProgress
 from sim_kinematic.avoidance.yielding import NO_PATH, shut_off
 from sim_kinematic.policies.rearrange import Planner
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import simulate
 from tests.sim.avoidance.commands import Seen, onlookers
 from tests.sim.avoidance.test_right_of_way import floor_of
 

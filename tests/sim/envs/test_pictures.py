@@ -29,7 +29,7 @@ from sim_kinematic.sensing.agent_pictures import DETECTORS, picture_names
 from sim_kinematic.sensing.sensor import depth_with_noise, with_noise
 from sim_kinematic.sensing.table import SENSORS
 from sim_kinematic.tasks import sources
-from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.recorder import simulate
 from tests.sim.steppers import PAIR, Batch, rearrange_env, social_nav_env
 
 HOME = "small:1"

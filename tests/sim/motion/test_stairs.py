@@ -23,9 +23,9 @@ from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.spec import NATURAL_WALKER, BaseSpec
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.motion.stride import STAIRS_SHARE, Strider
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.world import DriveCommand, World
 from tests import storeys
 

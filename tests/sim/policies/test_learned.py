@@ -25,10 +25,9 @@ from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
 from sim_kinematic.policies.assignment import resolve_policy
 from sim_kinematic.policies.learned import LearnedNavigation, navigation_input, network_of, stamped
-from sim_kinematic.policies.learned_chooser import chooser_input, learned_chooser
 from sim_kinematic.policies.network import FILE_FORMAT, Network, from_torch, load_network, save_network
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.rearrange import Chooser
+from sim_kinematic.policies.rearrange import Chooser, chooser_input, learned_chooser
 from sim_kinematic.policies.views import RearrangeView, SocialNavView
 from sim_kinematic.sensing.table import FOLLOWER
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode

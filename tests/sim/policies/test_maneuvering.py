@@ -11,9 +11,8 @@ from sim_kinematic.avoidance.maneuvers import plan_maneuver
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots
-from sim_kinematic.policies.maneuvering import NEAR_M, Maneuvering
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.social_nav import rollout_expert
+from sim_kinematic.policies.social_nav import NEAR_M, Maneuvering, rollout_expert
 from sim_kinematic.policies.views import SocialNavView
 
 WEDGED = np.array([7.58605146, 9.79296398]), 0.6624391771594816

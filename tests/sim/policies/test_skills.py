@@ -21,8 +21,8 @@ from sim_kinematic.policies.skills.player import NetworkSkill
 from sim_kinematic.policies.visual_policy import PolicyCard, VisualPolicy, number_count, save_policy
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.skills.skill_starts import SkillStart, draw_starts
 from sim_kinematic.tasks.sources import EpisodeSource
 

@@ -22,7 +22,7 @@ from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots, least_clearance
 from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, Policy, future_oracle, rollout_expert
 from sim_kinematic.policies.views import SocialNavView
-from sim_kinematic.tasks.social_nav.codec import plan_of
+from sim_kinematic.tasks.social_nav import plan_of
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 SPEC = BaseSpec()

@@ -19,8 +19,9 @@ from sim_kinematic.policies.assignment import External
 from sim_kinematic.sensing.sight import MARGIN_M, NEAR_M, PLACE_M, THING_M, Boxes, Sight, eye_height, surface_names
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.runner import Session, simulate
+from sim_kinematic.tasks.sessions import Session
 
 HOME = "small-open:2"
 

@@ -14,10 +14,10 @@ from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.policy import PoseAction, Velocity, WaypointAction
 from sim_kinematic.sensing.table import Sensor
-from sim_kinematic.tasks.control import Control
-from sim_kinematic.tasks.motion import MotionTeam, VelocityControl
+from sim_kinematic.tasks.control import Control, MotionTeam, VelocityControl
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import rollout, run
+from sim_kinematic.tasks.recorder import run
 from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.wander import Wander
 
@@ -68,7 +68,7 @@ def test_a_malformed_choice_is_refused_by_the_name_of_its_policy(
     task: Any, agent: str, choice: Any, home: Scene, free: FreeSpace
 ) -> None:
     episode = task().episode(home, seed=1, free=free)
-    play = rollout(task(), episode, {agent: Says(choice)})
+    play = WorldRollout.of(task(), episode, {agent: Says(choice)})
     with pytest.raises(InputError) as refused:
         run(play, steps=2)
     assert refused.value.code == "H3-TASK-083"
@@ -78,7 +78,7 @@ def test_a_malformed_choice_is_refused_by_the_name_of_its_policy(
 
 def test_a_pair_counts_as_a_velocity(home: Scene, free: FreeSpace) -> None:
     episode = SocialNav().episode(home, seed=1, free=free)
-    play = rollout(SocialNav(), episode, {"robot": Says((0.0, 0.5))})
+    play = WorldRollout.of(SocialNav(), episode, {"robot": Says((0.0, 0.5))})
     run(play, steps=1)
     assert play.step == 1
 
@@ -104,7 +104,7 @@ class Endless(Wander):
 
 
 def test_a_controller_that_never_has_enough_is_named_with_its_task(home: Scene, free: FreeSpace) -> None:
-    play = rollout(Endless(), Endless().episode(home, seed=1, free=free))
+    play = WorldRollout.of(Endless(), Endless().episode(home, seed=1, free=free))
     with pytest.raises(InputError, match="H3-TASK-091") as refused:
         run(play, steps=1)
     assert all(word in str(refused.value) for word in ("endless", "robot", "MotionController"))
@@ -121,7 +121,7 @@ class Crooked(Wander):
 
 
 def test_a_sensor_of_other_rows_than_worlds_is_named_with_task_and_agent(home: Scene, free: FreeSpace) -> None:
-    play = rollout(Crooked(), Crooked().episode(home, seed=1, free=free))
+    play = WorldRollout.of(Crooked(), Crooked().episode(home, seed=1, free=free))
     with pytest.raises(InputError, match="H3-TASK-092") as refused:
         play.observe(0, 0, ["egomotion"])
     assert all(word in str(refused.value) for word in ("crooked", "robot", "egomotion"))

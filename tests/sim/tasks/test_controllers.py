@@ -17,7 +17,7 @@ from sim_kinematic.agents.skills import Action, SkillResult
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.policies.policy import GaitAction, PoseAction, Velocity, WaypointAction
-from sim_kinematic.tasks.motion import MotionController, command_of
+from sim_kinematic.tasks.control import MotionController, command_of
 from sim_kinematic.tasks.skills.controller import CHOICES, SkillController
 from sim_kinematic.world import DriveCommand, GaitCommand, PoseCommand, WaypointCommand
 

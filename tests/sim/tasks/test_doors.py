@@ -19,8 +19,9 @@ from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec, draw_episode
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.runner import Session, simulate
+from sim_kinematic.tasks.sessions import Session
 from tests.examples import examples
 from tests.simulated import REARRANGE, rearrange_episode
 

@@ -38,7 +38,7 @@ from sim_kinematic.agents.skills import ALL_SKILLS, Action
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.policies.policy import External, Velocity
 from sim_kinematic.tasks.resume import counterfactual, resume, verify
-from sim_kinematic.tasks.runner import Session
+from sim_kinematic.tasks.sessions import Session
 from tests.paths import ROOT
 
 EXAMPLE = ROOT / "examples/drive_person.py"

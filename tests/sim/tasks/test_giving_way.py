@@ -16,9 +16,10 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.policies.rearrange import Chooser
 from sim_kinematic.policies.views import CloseView, RearrangeView
+from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.codec import rules_from_json, rules_to_json
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.tasks.runner import rollout, run
+from sim_kinematic.tasks.recorder import run
 from tests.simulated import REARRANGE, rearrange_episode
 
 HABITAT = RearrangeSpec(robot=BaseSpec(slide="habitat"), human=WalkerSpec(), reward="habitat")
@@ -48,7 +49,7 @@ def test_rules_say_whether_people_give_way() -> None:
 def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSpace) -> None:
     for spec, heeds in ((RearrangeSpec(), True), (HABITAT, False)):
         episode = rearrange_episode(home, seed=1, spec=spec, free=free)
-        play = rollout(REARRANGE, episode, {"robot": "complement", "human": "both"})
+        play = WorldRollout.of(REARRANGE, episode, {"robot": "complement", "human": "both"})
         assert (play.team.company.right_of_way is not None) == heeds  # type: ignore[attr-defined]
         person = play.team.people[0]  # type: ignore[attr-defined]
         assert play.team.company.avoids(person, play.team.robots[0]) == heeds  # type: ignore[attr-defined]
@@ -57,7 +58,7 @@ def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSp
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -> None:
     episode = rearrange_episode(home, seed=seed, free=free)
-    play = rollout(REARRANGE, episode, {"robot": "greedy_nearest", "human": "both"})
+    play = WorldRollout.of(REARRANGE, episode, {"robot": "greedy_nearest", "human": "both"})
     asked: list[list[bool]] = []
 
     def look(step: int) -> None:
@@ -86,7 +87,7 @@ def test_a_robot_is_asked_wherever_it_would_interrupt(home: Scene, free: FreeSpa
 
     robot = Watched(lambda view, left: max(left, default=None) if view.step // 30 % 2 else min(left, default=None))
     episode = rearrange_episode(home, seed=1, free=free)
-    run(rollout(REARRANGE, episode, {"robot": robot, "human": "both"}), steps=160)
+    run(WorldRollout.of(REARRANGE, episode, {"robot": robot, "human": "both"}), steps=160)
     assert any(reasons)
 
 
@@ -98,7 +99,7 @@ def test_people_set_off_and_brake_where_they_step_aside(home: Scene, free: FreeS
     speed follows that of the gait (`PlantedWalk.speed_mps`), which passes 0 at 9 m/s^2.
     """
     episode = rearrange_episode(home, seed=1, free=free)
-    play = rollout(REARRANGE, episode, {"robot": "still", "human": "both"})
+    play = WorldRollout.of(REARRANGE, episode, {"robot": "still", "human": "both"})
     person = play.team.people[0]  # type: ignore[attr-defined]
     path = person._path(free.sample(np.random.default_rng(3), 1)[0])
     assert np.hypot(*(path[0] - person.xz)) > 0.5

@@ -39,8 +39,9 @@ from sim_kinematic.agents.skills import ALL_SKILLS, Action, Objects
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec, Target
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import counterfactual, resume, verify
-from sim_kinematic.tasks.runner import Session, simulate
+from sim_kinematic.tasks.sessions import Session
 from tests.simulated import REARRANGE, rearrange_episode
 
 DRAWER, THING = "kitchen_counter_2/drawer_0", "mug_7"

@@ -33,8 +33,8 @@ from sim_kinematic.policies.rearrange import (
     robot_policy,
 )
 from sim_kinematic.policies.views import RearrangeView
+from sim_kinematic.tasks.rearrange.codec import solo_steps_of
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rearrange.solo import solo_steps_of
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 from tests.sim.avoidance.commands import Seen, kept_clear
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange

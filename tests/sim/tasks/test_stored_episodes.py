@@ -27,8 +27,7 @@ from h3data_pipelines.assets.set_episodes import sampled_episode, set_episode
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.waypoint_walker import human_plan
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.social_nav import SocialNav
-from sim_kinematic.tasks.social_nav.codec import episode_from, goals_of
+from sim_kinematic.tasks.social_nav import SocialNav, episode_from, goals_of
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 CODEC = SocialNav().codec

@@ -10,9 +10,9 @@ import pytest
 from h3data.recording import Recording
 from h3data.scene.open import named_scenes, open_scene
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.tasks.play import DecisionLoop, WorldRollout
+from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.runner import DecisionLoop, rollout, simulate
 from sim_kinematic.tasks.wander import Wander
 
 STEPS = 450
@@ -67,7 +67,7 @@ def test_the_world_makes_the_step_that_an_agent_has_tried() -> None:
     """Else the test for contact would be of postures that never come about."""
     scene = open_scene(named_scenes("h3-homes/val")[3].source)
     episode = Wander().episode(scene, seed=3, spec=SocialNavSpec(max_steps=60), agents="robot,human,male_1")
-    play = rollout(Wander(), episode)
+    play = WorldRollout.of(Wander(), episode)
     assert isinstance(play, WorldRollout)
     loop = DecisionLoop(play)
     while not loop.over:

@@ -27,8 +27,8 @@ from sim_kinematic.envs.world_stepper import WorldStepper  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES  # noqa: E402
 from sim_kinematic.tasks.episode import Starts  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode  # noqa: E402
+from sim_kinematic.tasks.recorder import simulate  # noqa: E402
 from sim_kinematic.tasks.resume import verify  # noqa: E402
-from sim_kinematic.tasks.runner import simulate  # noqa: E402
 from sim_kinematic.tasks.skills.errands import errands_of  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 from tests.training.torch.capturable import CapturableOnly  # noqa: E402

@@ -29,10 +29,9 @@ from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, OracleSpec  # n
 from sim_kinematic.policies.assignment import assign  # noqa: E402
 from sim_kinematic.policies.choosers.chooser_network import OBSERVATIONS  # noqa: E402
 from sim_kinematic.policies.policy import External  # noqa: E402
-from sim_kinematic.tasks.play import WorldRollout  # noqa: E402
+from sim_kinematic.tasks.play import DecisionLoop, WorldRollout  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES, RearrangeEpisode, RearrangeSpec  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
-from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")

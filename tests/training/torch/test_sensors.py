@@ -22,10 +22,10 @@ from h3data_training.torch.social_nav import ON_DEVICES, SocialNavTensors  # noq
 from sim_kinematic.agents.skills import CONTROL, Action  # noqa: E402
 from sim_kinematic.motion.state import NOBODY  # noqa: E402
 from sim_kinematic.policies.rearrange_observations import exact  # noqa: E402
-from sim_kinematic.policies.skills.observations import observe  # noqa: E402
+from sim_kinematic.policies.skills.player import observe  # noqa: E402
 from sim_kinematic.sensing.encodings import DETECTOR, OF_CHOICES, OF_COMMANDS, Encoding  # noqa: E402
 from sim_kinematic.sensing.table import AHEAD_M, LIDARS, OF_SKILLS, TABLE, Pose  # noqa: E402
-from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
+from sim_kinematic.tasks.play import DecisionLoop  # noqa: E402
 from tests.sim.steppers import Batch  # noqa: E402
 from tests.training.torch import test_fetch, test_rearrange, test_skills, test_social_nav  # noqa: E402
 

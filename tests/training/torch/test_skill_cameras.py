@@ -23,9 +23,9 @@ from h3data_training.torch.skills.teacher import taught  # noqa: E402
 from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors  # noqa: E402
 from sim_kinematic.agents.skills import CONTROL, Action  # noqa: E402
 from sim_kinematic.sensing.camera_sensor import ROBOT_ID, CameraSensor, StateRenderer  # noqa: E402
+from sim_kinematic.tasks.play import DecisionLoop  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
-from sim_kinematic.tasks.runner import DecisionLoop  # noqa: E402
 from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill, draw_starts  # noqa: E402
 from sim_kinematic.tasks.sources import EpisodeSource  # noqa: E402
 from tests.training.torch.test_cameras import device  # noqa: E402, F401

@@ -18,11 +18,10 @@ from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors
 from sim_kinematic.agents.skills import CONTROL, Action
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import SkillSpec
-from sim_kinematic.policies.skills.observations import SkillView
-from sim_kinematic.tasks.play import WorldRollout
+from sim_kinematic.policies.skills.player import SkillView
+from sim_kinematic.tasks.play import DecisionLoop, WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.task import Rearrange
-from sim_kinematic.tasks.runner import DecisionLoop
 from sim_kinematic.tasks.skills.skill_starts import Skill, SkillStart, draw_starts
 from sim_kinematic.tasks.sources import EpisodeSource
 

@@ -9,7 +9,7 @@ import numpy as np
 from h3data_play.app import Hud
 from h3data_play.apps.rearrange import RearrangeApp
 from h3data_play.drivers import Driver
-from sim_kinematic.tasks.runner import Session, StepResult
+from sim_kinematic.tasks.sessions import Session, StepResult
 
 
 class TeleopApp(RearrangeApp):

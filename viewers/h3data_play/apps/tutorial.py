@@ -14,7 +14,7 @@ from h3data_play.app import Hud
 from h3data_play.apps.rearrange import RearrangeApp
 from h3data_play.drivers import Driver, PersonDriver
 from h3data_play.messages import Act, Drop, Give, Pick, Place
-from sim_kinematic.tasks.runner import Session, StepResult
+from sim_kinematic.tasks.sessions import Session, StepResult
 
 MARK_AHEAD_M = 2.5
 """Distance from the start to the mark along the path to the object or its goal [m]; shorter if that path is short."""

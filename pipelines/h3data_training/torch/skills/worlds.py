@@ -424,7 +424,7 @@ class SkillTensors:
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def observations(self, names: Sequence[str], play: SkillPlay) -> dict[str, Tensor]:
-        """Return observations without pictures, as in `sim_kinematic.policies.skills.observations`, float32 [W, ...].
+        """Return observations without pictures, as in `sim_kinematic.policies.skills.player`, float32 [W, ...].
 
         Raises:
             InputError: there is no such observation.
