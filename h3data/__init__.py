@@ -26,7 +26,6 @@ imported at first use, so ``import h3data`` is quick.
 
 from __future__ import annotations
 
-import importlib
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -124,9 +123,10 @@ __all__ = [
     "view",
 ]
 
-# Gymnasium 1 reads no entry points: its ids need an import, and this is the one that people have
+# Gymnasium 1 reads no entry points: its ids need an import, and this is the one that people have (if Gymnasium is
+# imported later, `announce_moves` sees to it)
 if "gymnasium" in sys.modules:
-    importlib.import_module("h3data.envs")
+    from h3data import envs as envs
 
 
 def __getattr__(name: str) -> Any:

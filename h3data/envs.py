@@ -10,7 +10,7 @@ gymnasium.make("h3data:h3data/Rearrange-v0")  # without any other import: Gymnas
 ```
 
 Keyword arguments are those of `h3data.make`. Gymnasium 1.0 dropped entry points for plug-ins, so that a package has to
-register its environments when it is imported. ``import h3data`` does so too if Gymnasium was imported before.
+register its environments when it is imported. ``import h3data`` does so too, before or after ``import gymnasium``.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from types import MappingProxyType, ModuleType
@@ -329,23 +330,29 @@ class MovedFinder(MetaPathFinder):
 
 
 class RenamedFinder(PathFinder):
-    """Import finder that adds a ``__getattr__`` (`lazy_names`) to modules whose objects were renamed."""
+    """Import finder that adds a ``__getattr__`` (`lazy_names`) to modules whose objects were renamed.
 
-    modules = frozenset(name.rpartition(".")[0] for name in RENAMED)
-    """Names of modules whose objects were renamed."""
+    When Gymnasium is imported, its environments of h3data are registered as well (`h3data.envs`).
+    """
+
+    modules = frozenset(["gymnasium", *(name.rpartition(".")[0] for name in RENAMED)])
+    """Names of modules whose import is completed: Gymnasium, and those whose objects were renamed."""
 
     @classmethod
     def find_spec(
         cls, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the module's own specification; None for modules without renamed objects."""
+        """Return the module's own specification; None for modules not among ``modules``."""
         spec = super().find_spec(fullname, path, target) if fullname in cls.modules else None
         if spec is not None and spec.loader is not None:
             run = spec.loader.exec_module
 
             def run_guarded(module: ModuleType) -> None:
-                vars(module)["__getattr__"] = lazy_names(fullname)
+                if fullname != "gymnasium":
+                    vars(module)["__getattr__"] = lazy_names(fullname)
                 run(module)
+                if fullname == "gymnasium":
+                    import_module("h3data.envs")
 
             spec.loader.exec_module = run_guarded
         return spec

@@ -92,7 +92,7 @@ def test_environments_show_the_goal():
     assert (seen["goal_gps"][:, 0] > 0.5).all()
     for _ in range(10):
         seen, reward, *_ = env.step(np.tile(np.array([[1.0, 0.0]], np.float32), (2, 1)))
-    assert np.isfinite(reward).all()
+        assert np.isfinite(reward).all()
     env.close()
 
 

@@ -325,11 +325,21 @@ def test_the_version() -> None:
     [
         "import gymnasium, h3data; print(gymnasium.make('h3data/SocialNav-v0', scenes='small:1').spec.id)",
         "import gymnasium; print(gymnasium.make('h3data:h3data/SocialNav-v0', scenes='small:1').spec.id)",
+        "import h3data, gymnasium; print(gymnasium.make('h3data:h3data/SocialNav-v0', scenes='small:1').spec.id)",
     ],
 )
 def test_gymnasium_finds_the_environments(script: str) -> None:
     said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "h3data/SocialNav-v0"
+
+
+@pytest.mark.parametrize(
+    "first", ["import h3data, gymnasium", "import h3data.envs, gymnasium", "import gymnasium, h3data"]
+)
+def test_ids_of_gymnasium_are_known_in_any_order_of_imports(first: str) -> None:
+    script = f"{first}; print(gymnasium.spec('h3data/SocialNav-v0').id)"
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert (said.stdout.strip(), said.stderr) == ("h3data/SocialNav-v0", "")
 
 
 @pytest.mark.parametrize("options", [{}, {"num_envs": 2}, {"agents": ("robot", "human")}], ids=str)
