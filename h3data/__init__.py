@@ -26,6 +26,7 @@ imported at first use, so ``import h3data`` is quick.
 
 from __future__ import annotations
 
+import importlib
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -126,7 +127,7 @@ __all__ = [
 # Gymnasium 1 reads no entry points: its ids need an import, and this is the one that people have (if Gymnasium is
 # imported later, `announce_moves` sees to it)
 if "gymnasium" in sys.modules:
-    from h3data import envs as envs
+    importlib.import_module("h3data.envs")
 
 
 def __getattr__(name: str) -> Any:

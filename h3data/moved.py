@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
+from itertools import accumulate
 from types import MappingProxyType, ModuleType
 from typing import Any
 
@@ -305,11 +306,9 @@ def lazy_names(module: str, homes: Mapping[str, str] = MappingProxyType({})) -> 
 
 def new_name(module: str) -> str | None:
     """Return the name that a module of an earlier version has now; None if it has not moved."""
-    old = module
     # from the module outwards: what is inside a package that has moved as a whole has moved with it
-    while old and old not in MOVED:
-        old = old.rpartition(".")[0]
-    return MOVED[old] + module[len(old) :] if old else None
+    parents = list(accumulate(module.split("."), "{}.{}".format))[::-1]
+    return next((MOVED[old] + module[len(old) :] for old in parents if old in MOVED), None)
 
 
 class MovedFinder(MetaPathFinder):
