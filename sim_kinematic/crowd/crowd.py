@@ -209,8 +209,7 @@ class Crowd:
             STEP_S,
         )
         for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if len(robots) else ():
-            kind = "reacts" if self._moods[m, 2] else "reaction_over"
-            self.new_events.append((m, kind, self._roles[m].reaction, ""))
+            self.new_events.append((m, "reacts" if self._moods[m, 2] else "reaction_over", self._roles[m].reaction, ""))
         return places[:people], self._body[:, 0].copy()
 
     def _move_busy(self, m: int, places: Array, radii: Array, step: int) -> None:
@@ -233,9 +232,11 @@ class Crowd:
         places[m] = x, z
         self._body[m] = heading, 0.0, 0.0, heading
         self.seats[m] = station.height_m, now
-        for kind, begins in (("sits_down", share == 0 < now), ("gets_up", share == 1 > now)):
-            if begins:
-                self.new_events.append((m, kind, station.name, ""))
+        self.new_events += [
+            (m, kind, station.name, "")
+            for kind, begins in (("sits_down", share == 0 < now), ("gets_up", share == 1 > now))
+            if begins
+        ]
 
     def _meet(self, xz: Array) -> None:
         """Choose places for the groups that stand and talk, from the initial positions ``xz`` [M, 2]."""

@@ -82,13 +82,16 @@ the goal [2] of their group. The places ``(x, z, ...)`` that other people use, o
 class Agenda(Protocol):
     """Stops of one person, such as those of a morning at home; `roles.routines` finds more in packages."""
 
-    stops: Sequence[tuple[str, str, float]]
-    """Place, activity and duration [s] of each stop, which recordings store."""
     hands: HandWork | None
     """State of the person's hands; None: they handle nothing."""
 
     def follow(self, version: int) -> Agenda:
         """Follow a version of the rules of people (`sim_kinematic.crowd.crowd.VERSION`) from now on; return itself."""
+        ...
+
+    @property
+    def stops(self) -> Sequence[tuple[str, str, float]]:
+        """Return the place, activity and duration [s] of each stop, which recordings store."""
         ...
 
     def next_stop(

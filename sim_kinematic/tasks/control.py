@@ -17,6 +17,7 @@ from functools import partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
@@ -340,9 +341,15 @@ class VelocityControl(Control):
         for k, (member, assigned, since) in enumerate(zip(episode.roster, own, deciding_since(recording), strict=True)):
             policy = assigned.policy
             if member.kind == "robot" or k in commands:
-                # the policy that drove so far is asked about the past, to have its memory; a new one is not
-                first = until if changed and changed[k] else min(since, until)
-                policy = RecordedVelocities.of(recording, k, commands.get(k), until=until, own=policy, since=first)
+                policy = RecordedVelocities.of(
+                    recording,
+                    k,
+                    commands.get(k),
+                    until=until,
+                    own=policy,
+                    # the policy that drove so far is asked about the past, to have its memory; a new one is not
+                    since=until if changed and changed[k] else min(since, until),
+                )
             elif policy is None:
                 raise InputError(
                     f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
@@ -498,8 +505,33 @@ class MotionTeam(Team):
     def crowds_of(self, world: int) -> Crowds:
         """Return the crowds of one world."""
         if world not in self._crowds:
-            self._crowds[world] = Crowds(self.play.world, world, self._where)
+            self._crowds[world] = Crowds(self.play.world, world, self._where, [] if world else self._kept_out())
         return self._crowds[world]
+
+    def _kept_out(self) -> list[Event]:
+        """Return an event ``refused`` for each person of the first world for whom no way to some rooms is wide enough."""
+        episode, free = self.play.episodes[0], self.play.episodes[0].free
+        islands = np.maximum(free.island(episode.starts[:, :2]), 0).tolist()
+        closed = {
+            # with less than 0.1 m2 of floor they can only look in, or the room is on a storey that the map does not cover
+            n: ", ".join(
+                room.name
+                for room in episode.scene.rooms
+                if (free.has_stairs or abs(room.floor_y - free.floor_y) <= 0.5)
+                and shapely.area(free.polygon.geoms[n].intersection(shapely.box(*room.rectangles.T))).sum() < 0.1
+            )
+            for n in set(islands)
+        }
+        return [
+            Event(
+                step=0,
+                agent=k,
+                kind="refused",
+                detail=f"{member.name} is {2 * free.radius_m:.2f} m broad, and no free way of that width leads to {closed[n]}.",
+            )
+            for k, (member, n) in enumerate(zip(episode.roster, islands, strict=True))
+            if member.kind == "human" and closed[n]
+        ]
 
     def _where(self) -> Moment:
         """Return the places of all agents, put together once per step for all crowds."""

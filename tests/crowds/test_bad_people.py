@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+import h3data
 from h3data_pipelines.cli import main
 
 PEOPLE = "robot,human,human"
@@ -35,6 +36,17 @@ def test_one_sentence_says_why(name: str, tmp_path: Path, capsys: pytest.Capture
     (line,) = [line for line in said.splitlines() if line.startswith("error: ")]
     assert f"[{code}]" in line
     assert "Traceback" not in said
+
+
+def test_people_broader_than_a_door_are_named_with_the_rooms_that_are_closed_to_them() -> None:
+    def refusals(**rules: Any) -> dict[int, str]:
+        people = {"human": ["orca", "orca+morning"]}
+        it = h3data.simulate("wander", "small:1", roster=PEOPLE, agents=people, seed=3, max_steps=3, **rules)
+        return {e.agent: e.detail for e in it.events if e.kind == "refused" and e.step == 0}
+
+    assert refusals() == {}
+    closed = "is 1.00 m broad, and no free way of that width leads to bedroom, bathroom, hall."
+    assert refusals(agent_radius_m=0.5) == {1: f"human_1 {closed}", 2: f"human_2 {closed}"}
 
 
 @pytest.mark.slow

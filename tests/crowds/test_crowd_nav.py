@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,14 @@ import pytest
 import h3data
 from benchmarks.people import hall
 from h3data.builtin import builtin_root
-from h3data.errors import SceneError
+from h3data.errors import InputError, SceneError
 from h3data.metrics import measure
 from h3data.scene import FreeSpace
 from h3data_crowds.crowd_nav import CrowdNav, CrowdNavSpec
 from h3data_crowds.imitation import FILE, PEOPLE, SEEN_M, observe
 from h3data_crowds.robots import ROBOTS
+from h3data_pipelines.validation.added_time import added_time
+from h3data_viewers.html_report.added_time import added_time_table
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.policies.network import load_network
 from sim_kinematic.policies.policy import Velocity
@@ -92,8 +95,30 @@ def test_environments_show_the_goal():
     assert (seen["goal_gps"][:, 0] > 0.5).all()
     for _ in range(10):
         seen, reward, *_ = env.step(np.tile(np.array([[1.0, 0.0]], np.float32), (2, 1)))
-    assert np.isfinite(reward).all()
+        assert np.isfinite(reward).all()
     env.close()
+
+
+def test_reports_show_the_added_time_of_people(tmp_path: Path):
+    roster = ["robot", "human", "human"]
+    for seed in (6, 9):
+        play = {"robot": "still", "human": "orca"}
+        h3data.simulate(
+            "wander", "small:1", roster=roster, agents=play, seed=seed, max_steps=450, record=tmp_path / f"{seed}.mcap"
+        )
+    h3data.simulate("wander", "small:1", roster=roster, seed=1, max_steps=5, record=tmp_path / "other.mcap")
+    table = added_time_table([tmp_path])
+    assert "1 episode left out" in table.caption
+    (row,) = table.sections[0].rows
+    found = [
+        person.seconds
+        for seed in (6, 9)
+        for person in added_time(h3data.load_recording(tmp_path / f"{seed}.mcap"))
+        if person.seconds is not None
+    ]
+    assert row.cells[1].value == np.median(found)
+    with pytest.raises(InputError, match="H3-TASK-081"):
+        added_time_table([tmp_path / "other.mcap"])
 
 
 class Shown:

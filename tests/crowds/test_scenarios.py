@@ -149,7 +149,7 @@ def test_environments_of_modes_begin_and_need_the_card_s_people():
     assert seen["gesture"].shape == (2, 1)
     for _ in range(5):
         seen, reward, *_ = env.step(np.tile(np.array([[1.0, 0.0]], np.float32), (2, 1)))
-    assert np.isfinite(reward).all()
+        assert np.isfinite(reward).all()
     env.close()
     few = h3data.make("scenarios", "small:0", spec=ScenarioSpec(card="following"))
     with pytest.raises(InputError, match="H3-TASK-080"):

@@ -72,10 +72,17 @@ class Moment(NamedTuple):
             discs.append(discs_at(*moments, tuple(base.disc_offsets_m), base.disc_radius_m).reshape(2, len(xz), -1, 3))
         now, was = np.concatenate(discs, axis=2)
         places, before = (np.concatenate([own[:, count:], n[..., :2]], 1) for own, n in ((xz, now), (was_xz, was)))
-        # 0.3: radius of people who follow another policy [m]
-        radii = np.concatenate([np.full(xz.shape[1] - count, 0.3), now[0, :, 2]])
-        robots = np.concatenate([xz[:, :count], heading[:, :count, None]], axis=2)
-        return cls(xz, heading, was_xz, was_heading, places, before, radii, robots)
+        return cls(
+            xz,
+            heading,
+            was_xz,
+            was_heading,
+            places,
+            before,
+            # 0.3: radius of people who follow another policy [m]
+            radii=np.concatenate([np.full(xz.shape[1] - count, 0.3), now[0, :, 2]]),
+            robots=np.concatenate([xz[:, :count], heading[:, :count, None]], axis=2),
+        )
 
 
 class Crowds:
@@ -85,8 +92,11 @@ class Crowds:
     requested causes all people to move.
     """
 
-    def __init__(self, world: World, row: int, moment: Callable[[], Moment]) -> None:
-        """Create crowds without people for world number ``row``; ``moment`` returns the places of all agents."""
+    def __init__(self, world: World, row: int, moment: Callable[[], Moment], new_events: list[Event]) -> None:
+        """Create crowds without people for world number ``row``.
+
+        ``moment`` returns the places of all agents; ``new_events`` are those of the first step.
+        """
         self._world, self._row, self._step, self._moment = world, row, -1, moment
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
@@ -95,8 +105,8 @@ class Crowds:
         self._moved: dict[int, PoseAction] = {}
         self._places: dict[Any, Station] = {}
         """Stations in use, by the person who uses them."""
-        self.new_events: list[Event] = []
-        """Reactions to robots and activities that people of the crowds began in the last step."""
+        self.new_events = new_events
+        """Reactions to robots and activities that people of the crowds began in the last step, and refusals."""
 
     def move(self, member: CrowdMember, number: int, step: int) -> PoseAction:
         """Return the place of an agent after step number ``step``."""
@@ -154,8 +164,9 @@ class Crowds:
             Event(step=self._step, agent=list(members)[m], kind=kind, target=target, detail=detail)
             for m, kind, target, detail in crowd.new_events
         ]
-        seats = crowd.seats.tolist()
-        for number, place, angle, (height, share) in zip(members, places, headings.tolist(), seats, strict=True):
+        for number, place, angle, (height, share) in zip(
+            members, places, headings.tolist(), crowd.seats.tolist(), strict=True
+        ):
             self._moved[number] = PoseAction(place, angle, (height, share))
             if (work := members[number].hands) is not None:
                 self._handle(number, members[number], work, place, angle)
@@ -170,13 +181,18 @@ class Crowds:
         for k, position in work.joints.items() if state.joint_pos.shape[1] else ():
             state.joint_pos[w, k] = position
         work.joints.clear()
-        others = [member for members in self._members.values() for n, member in members.items() if n < number]
-        first = sum(len(member.hands.things) for member in others if member.hands is not None)
+        members = [pair for crowd in self._members.values() for pair in crowd.items()]
+        first = sum(len(member.hands.things) for n, member in members if n < number and member.hands is not None)
         for k, pose in held.items() if state.object_pose.shape[1] else ():
             state.object_pose[w, first + k] = pose_multiply(root, pose)
-        name = self._world.roster[number].name
-        for kind, thing, detail in work.events:
-            self.new_events.append(
-                Event(step=self._step, agent=number, kind=kind, target=f"{name}_{thing}", detail=detail)
+        self.new_events += [
+            Event(
+                step=self._step,
+                agent=number,
+                kind=kind,
+                target=f"{self._world.roster[number].name}_{thing}",
+                detail=detail,
             )
+            for kind, thing, detail in work.events
+        ]
         work.events.clear()

@@ -96,5 +96,6 @@ class CrowdPolicy:
             stop = self._routine.next_stop(xz, taken)
             if stop is not None:
                 return stop[1]._replace(path=walking_path(self.member.free, xz, stop[0], self.member.walker))
-        goal = self._goals.next_goal(xz) if goal is None else goal
-        return Errand(walking_path(self.member.free, xz, goal, self.member.walker))
+        return Errand(
+            walking_path(self.member.free, xz, self._goals.next_goal(xz) if goal is None else goal, self.member.walker)
+        )

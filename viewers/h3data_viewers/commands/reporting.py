@@ -55,6 +55,7 @@ def report(
     seeds: Names = (),
     study_model: Literal["auto", "poisson", "observation"] = "auto",
     failed: Literal["leave-out", "limit"] = "leave-out",
+    added_time: bool = False,
     workers: int = 1,
     executor: str = "local",
     force: bool = False,
@@ -88,6 +89,7 @@ class ReportCommand:
         h3data report out/nav -o training.html
         h3data report ds/ --markdown tables.md --pictures 0
         h3data report out/zsc --unseen-partners plan_pop_1,plan_pop_2
+        h3data report crowd/ --added-time
         h3data report study/ --study-model observation --failed limit
         h3data report runs/ --executor ray --workers 32
     """
@@ -118,6 +120,8 @@ class ReportCommand:
     they share one row with the mean over seeds and its standard deviation (default: as in the evaluation)."""
     study_model: StepsModelOption
     failed: FailedOption
+    added_time: bool
+    """Simulate recordings with people of crowds again without robots, and show the delay that robots cause (slow)."""
     workers: int
     """Number of local processes, or of Ray workers, that read and measure the recordings."""
     executor: ExecutorOption
@@ -126,6 +130,7 @@ class ReportCommand:
 
     def run(self) -> Outcome:
         """Write the report, and its tables as Markdown and LaTeX if asked to."""
+        from h3data_viewers.html_report.added_time import added_time_table
         from h3data_viewers.html_report.reading import lost_part
         from h3data_viewers.html_report.report import make_report, replay_folder
 
@@ -161,6 +166,7 @@ class ReportCommand:
                 failed=self.failed,
                 unseen_partners=self.unseen_partners,
                 seeds=self.seeds,
+                more=[added_time_table(self.datasets)] if self.added_time else (),
                 replays=folder if self.replays else None,
                 spread=partial(executor.run, lost=lost_part),
                 command=f"{command_line('report', self)} -o {shlex.quote(self.out.name)}",
