@@ -18,8 +18,8 @@ from h3data.scene import FreeSpace
 from h3data_crowds.crowd_nav import CrowdNav, CrowdNavSpec
 from h3data_crowds.imitation import FILE, PEOPLE, SEEN_M, observe
 from h3data_crowds.robots import ROBOTS
-from h3data_pipelines.validation.added_time import added_time
 from h3data_viewers.html_report.added_time import added_time_table
+from h3data_viewers.html_report.report import SECTIONS
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.policies.network import load_network
 from sim_kinematic.policies.policy import Velocity
@@ -113,7 +113,7 @@ def test_reports_show_the_added_time_of_people(tmp_path: Path):
     found = [
         person.seconds
         for seed in (6, 9)
-        for person in added_time(h3data.load_recording(tmp_path / f"{seed}.mcap"))
+        for person in SECTIONS.get("added_time")(h3data.load_recording(tmp_path / f"{seed}.mcap"))
         if person.seconds is not None
     ]
     assert row.cells[1].value == np.median(found)

@@ -11,6 +11,7 @@ from h3data.errors import H3DataError
 from h3data.progress import progress
 from h3data.recording.finding import find_episodes
 from h3data.stats.intervals import bootstrap_interval
+from h3data_viewers.html_report.report import SECTIONS
 from h3data_viewers.html_report.tables import Cell, Column, Row, Section, Table, counted, number
 
 
@@ -20,10 +21,9 @@ def added_time_table(paths: Iterable[Path]) -> Table:
     Episodes of other tasks, or of people who are not of a crowd, are left out, and the caption counts them.
 
     Raises:
-        H3DataError: No episode can be simulated again without robots (`sim_kinematic.tasks.resume.added_time`).
+        H3DataError: No episode can be simulated again without robots.
     """
-    from h3data_pipelines.validation.added_time import added_time
-
+    added_time = SECTIONS.get("added_time")
     delays: dict[str, list[list[float]]] = {}
     faults: list[H3DataError] = []
     for source in progress(find_episodes(paths), desc="without robots", unit="episode"):

@@ -53,9 +53,10 @@ from h3data_viewers.html_report.tables import Table, to_latex, to_markdown
 from h3data_viewers.html_report.text import TASKS, episode_tables, facts, findings, remarks, task_name
 from h3data_viewers.templates import render
 
-SECTIONS: Registry[Callable[..., StudyTables]] = Registry("h3data.report_sections", {}, what="section of reports")
+SECTIONS: Registry[Callable[..., Any]] = Registry("h3data.report_sections", {}, what="section of reports")
 """Registry of report sections from other packages. Section ``study`` is a function of the runs of a task and of the
-model of its steps."""
+model of its steps, which returns `StudyTables`; ``added_time`` is a function of a recording, which returns persons with
+their ``seconds``."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
