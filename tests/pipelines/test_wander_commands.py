@@ -10,7 +10,7 @@ import pytest
 
 import h3data
 from h3data.bodies.people.humanoid_file import ADULTS
-from h3data.recording import recordings_equal
+from h3data.recording import Dataset, recordings_equal
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands.generate import Generate
 from sim_kinematic.tasks import wander
@@ -126,3 +126,12 @@ def test_bad_options_are_refused(
 ) -> None:
     assert told in run_json(capsys, *WANDER, tmp_path / "x", *options, code=2)["error"]
     assert not (tmp_path / "x").exists()
+
+
+def test_homes_with_more_joints_and_things_may_come_later(tmp_path: Path) -> None:
+    """Columns of a dataset cannot grow, so the widest home determines them before the first episode is played."""
+    cast = ("--agents", "robot,human", "--partner", "orca+chores", "--spawn-distance", "1", "--max-steps", "2")
+    scenes = ("--scenes", "medium-open:1,medium-open:3", "--episodes", "2")
+    assert main(["generate", "wander", *scenes, *cast, "-o", str(tmp_path / "ds")]) == 0
+    first, second = (recording.columns["scene.joint_pos"].shape[1] for recording in Dataset(tmp_path / "ds"))
+    assert first < second

@@ -48,7 +48,7 @@ from h3data_pipelines.jobs.episode_files import (
     notes_on,
     requested_jobs,
     save_episodes,
-    widest_episode,
+    widest_episodes,
 )
 from h3data_pipelines.jobs.episodes import (
     Choices,
@@ -282,7 +282,7 @@ class Generate:
                 require_same_options(out, jobs, cameras=self.cameras)
             else:
                 claim_folder(out, force=False, unfinished=lambda: unfinished_dataset(out))
-            like = widest_episode(jobs)
+            like = widest_episodes(jobs)  # read only by a new dataset
             with keeping(lambda: _kept(out)), DatasetWriter(out, resume=self.resume, like=like) as writer:
                 done = len(writer)
                 self._simulate(jobs[done:], writer, executor)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -12,8 +11,20 @@ from h3data.commands.command import claim_file
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording import Recording
+from h3data.recording.records import JOINTS
+from h3data.scene.articulation import joints_of
+from h3data.scene.open import open_scene
 from h3data.scene.sources import SceneFile
-from h3data_pipelines.jobs.episodes import Choices, Job, SampledEpisode, checked, chosen_count, make_jobs, refuse_beside
+from h3data_pipelines.jobs.episodes import (
+    Choices,
+    Job,
+    SampledEpisode,
+    SampledJobs,
+    checked,
+    chosen_count,
+    make_jobs,
+    refuse_beside,
+)
 from h3data_pipelines.jobs.failed_episodes import is_failed
 from h3data_pipelines.jobs.running import simulate_job
 
@@ -24,6 +35,8 @@ if TYPE_CHECKING:
 
 
 _SHOWN = 20
+PROBED = 64
+"""Largest number of episodes of people with routines that are tried for the widths of columns."""
 
 
 class FileJobs(NamedTuple):
@@ -214,17 +227,38 @@ def _ranges(numbers: Sequence[int]) -> str:
     return shown + (f", ... ({len(numbers)} in all)" if len(parts) > 8 else "")
 
 
-def widest_episode(jobs: Sequence[Job]) -> tuple[Recording, ...]:
-    """Return one step of an episode with the most objects, which determines the columns of a dataset."""
-    counts = [getattr(job.spec, "objects", 0) for job in jobs]
-    if len(set(counts)) < 2:
-        return ()
-    for count in sorted(set(counts), reverse=True):
-        job = jobs[counts.index(count)]
-        recording = simulate_job(replace(job, spec=replace(job.spec, max_steps=1)))
-        if not is_failed(recording):
-            return (recording,)
-    return ()
+def widest_episodes(jobs: Sequence[Job]) -> Iterator[Recording]:
+    """Yield the first steps of episodes that together have the widest columns of a dataset, as far as widths may differ.
+
+    Widths depend on the number of objects, on the joints of each home, and on the things of people with routines. The
+    latter differ between episodes of one home too, so that up to `PROBED` of these are tried. Episodes that cannot be
+    played are left out.
+    """
+    all_kinds = jobs.one_round if isinstance(jobs, SampledJobs) else jobs
+    chosen = {(job.scene, getattr(job.spec, "objects", 0)): job for job in reversed(all_kinds)}
+    spread = jobs[:: -(-len(jobs) // PROBED)] if any(map(_has_routine, chosen.values())) else []
+    probed = list({job.index: job for job in (*chosen.values(), *spread)}.values())
+    if len(probed) < 2:
+        return
+    seen: list[tuple[int, int]] = []
+    for job in progress(probed, desc="columns", unit="episode", at_least=20):
+        try:
+            widths = len(joints_of(open_scene(job.source)).rest), getattr(job.spec, "objects", 0)
+        except H3DataError:
+            continue
+        if not _has_routine(job) and any(widths[0] <= joints and widths[1] <= count for joints, count in seen):
+            continue
+        recording = simulate_job(job, max_steps=1)
+        if is_failed(recording):  # as it will be when it is played, and reported then
+            continue
+        seen.append(widths)
+        yield recording
+        if not recording.columns.keys() & {JOINTS, "object_pose"}:
+            return
+
+
+def _has_routine(job: Job) -> bool:
+    return any("+" in name for name in (job.policy, job.partner) if name is not None)
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------

@@ -126,14 +126,15 @@ class Job:
         people = (k for k, member in enumerate(episode.roster) if member.kind == "human")
         return episode.only(*people) if self.policy == SOLO else episode
 
-    def record(self) -> Recording:
-        """Play the episode and return its recording."""
+    def record(self, *, max_steps: int | None = None) -> Recording:
+        """Play the episode, or its first ``max_steps`` steps, and return its recording."""
         from sim_kinematic.tasks.recorder import simulate
 
         chosen = {"robot": None if self.policy == SOLO else self.policy, "human": self.partner}
+        episode = self.episode()
         return simulate(
             self.found_task,
-            self.episode(),
+            episode if max_steps is None else replace(episode, spec=replace(episode.spec, max_steps=max_steps)),
             {kind: name for kind, name in chosen.items() if name is not None},
             episode_id=f"{self.index:06d}",
             sensors=self.sensors or (),

@@ -22,14 +22,16 @@ if TYPE_CHECKING:
     from h3data.recording.parquet.videos import EpisodeVideo
 
 
-def simulate_job(job: Job) -> Recording:
+def simulate_job(job: Job, *, max_steps: int | None = None) -> Recording:
     """Return the recording of a job's episode, or its `failed_recording` placeholder, in any process.
+
+    ``max_steps`` ends it after its first steps.
 
     Raises:
         JobStopError: the whole job cannot continue.
     """
     try:
-        recording = job.record()
+        recording = job.record(max_steps=max_steps)
     except (MemoryError, JobStopError):
         raise
     except Exception as fault:
