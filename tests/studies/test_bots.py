@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import sqlite3
+import struct
+from collections.abc import AsyncIterator
 from contextlib import closing
 from pathlib import Path
 
+import aiohttp
 import pytest
 
 from h3data.recording import read_mcap
 from h3data_pipelines.cli import main
+from h3data_studies.bots.client import HEAD, STATE, Client, Thing
 from h3data_studies.bots.participant import SAID
 from sim_kinematic.tasks.resume import verify
 from tests.studies.tiny import TINY, write_tiny
@@ -67,3 +72,35 @@ def test_there_are_no_more_bots_than_places(tmp_path: Path, capsys: pytest.Captu
     assert main(["study", "bots", str(write_tiny(tmp_path)), "--participants", "5"]) == 2
     assert "--participants from 1 to 4" in capsys.readouterr().err
     assert not (tmp_path / "tiny-1-bots").exists()
+
+
+def test_states_with_things_of_chores_are_read() -> None:
+    bot = Client("http://127.0.0.1:1/")
+    bot.manifest, bot.things = {"agents": []}, [Thing(), Thing()]
+    objects = [struct.pack("<Hh7f", k, 0, *[1.0] * 7) for k in (1, 2)]  # the second comes after the objects
+    bot._state(HEAD.pack(STATE, 0, 0, len(objects), 7, -1, 0.0) + b"".join(objects))
+    assert [thing.held for thing in bot.things] == [-1, 0]
+    assert bot.step == 7
+
+
+def test_what_a_bot_cannot_read_is_raised_and_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def waits() -> None:
+        async with Client("http://127.0.0.1:1/") as bot:
+            monkeypatch.setattr(bot.http, "ws_connect", connects)
+            bot.manifest = {"objects": [], "joints": []}
+            await bot.connect()
+            await bot.until(lambda: False)
+
+    class Damaged:
+        """A socket whose only message is no JSON."""
+
+        async def __aiter__(self) -> AsyncIterator[aiohttp.WSMessage]:
+            yield aiohttp.WSMessage(aiohttp.WSMsgType.TEXT, "{", None)
+
+        async def close(self) -> None: ...
+
+    async def connects(*_: object, **__: object) -> Damaged:
+        return Damaged()
+
+    with pytest.raises(json.JSONDecodeError):
+        asyncio.run(waits())

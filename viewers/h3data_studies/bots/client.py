@@ -107,14 +107,16 @@ class Client:
             await asyncio.gather(self._hearing, return_exceptions=True)
 
     async def _hear(self) -> None:
-        async for frame in self.socket:
-            if frame.type is aiohttp.WSMsgType.TEXT:
-                self.told.append(json.loads(frame.data))
-            elif frame.data[0] == STATE:
-                self._state(frame.data)
+        try:
+            async for frame in self.socket:
+                if frame.type is aiohttp.WSMsgType.TEXT:
+                    self.told.append(json.loads(frame.data))
+                elif frame.data[0] == STATE:
+                    self._state(frame.data)
+                self.news.set()
+            self.close_code = self.socket.close_code
+        finally:
             self.news.set()
-        self.close_code = self.socket.close_code
-        self.news.set()
 
     def _state(self, data: bytes) -> None:
         now = time.monotonic()
@@ -131,7 +133,8 @@ class Client:
             at += _PERSON_BYTES if agent["kind"] == "human" else 12 + 2 * agent["joints"]
         for _ in range(self.head[3]):
             index, held, x, y, z, *_ = _OBJECT.unpack_from(data, at)
-            self.things[index] = Thing(held, (x, y, z))
+            if index < len(self.things):  # after the objects come things of chores
+                self.things[index] = Thing(held, (x, y, z))
             at += _OBJECT.size
         for index, position in _JOINT.iter_unpack(data[at:]):
             self.joints[index] = position
@@ -157,6 +160,8 @@ class Client:
         """
         end = time.monotonic() + seconds
         while not (found := what()):
+            if self._hearing is not None and self._hearing.done():
+                self._hearing.result()  # raises what a message has raised
             if self.close_code is not None:
                 raise ConnectionError(f"The server closed the connection ({self.close_code}).")
             rest = end - time.monotonic()
