@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from h3data.geometry import Array
-from sim_kinematic.avoidance.yielding import Onlookers
+from sim_kinematic.avoidance.yielding import Neighbours
 
 
 class Company(Protocol):
@@ -20,7 +20,7 @@ class Company(Protocol):
     actors: Sequence[Any]
     bodies: list[Any]
 
-    def around(self, number: int) -> Onlookers:
+    def around(self, number: int) -> Neighbours:
         """Return all agents as others observe them, and which of them an agent gives way to."""
         ...
 

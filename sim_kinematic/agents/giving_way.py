@@ -24,7 +24,7 @@ from sim_kinematic.agents.robots.skills import RobotActor
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.yielding import Onlookers
+from sim_kinematic.avoidance.yielding import Neighbours
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.body_capsules import AgentCapsules, may_touch
 from sim_kinematic.contact.clearance import clip_reach, robot_span
@@ -65,12 +65,12 @@ class GivingWay:
             in_clips: whether people only move as in their motion clips, so that their hands stay near.
         """
         self.actors, self.right_of_way, self.agreed, self.solid = actors, right_of_way, agreed, solid
-        self.onlookers = Onlookers.of(actors)
+        self.neighbours = Neighbours.of(actors)
         """All agents as they were after their last turns, which the others observe."""
         self._people_see_robot, self._person_radius_m = people_see_robot, person_radius_m
         self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
         heeded = np.array([[self.avoids(me, other) for other in actors] for me in actors])
-        self._around = [self.onlookers._replace(heeded=row, agreed=agreed) for row in heeded]
+        self._around = [self.neighbours._replace(heeded=row, agreed=agreed) for row in heeded]
         for actor in actors:
             actor.company = self
         self.touching: list[tuple[int, int]] = []
@@ -131,9 +131,9 @@ class GivingWay:
     def begin_step(self, carrying: Sequence[int] = ()) -> None:
         """Decide which agents step aside in the next step; ``carrying`` are the numbers of those with an object."""
         if self.right_of_way is not None:
-            self.right_of_way.update(carrying, self.onlookers.agents)
+            self.right_of_way.update(carrying, self.neighbours.agents)
 
-    def around(self, number: int) -> Onlookers:
+    def around(self, number: int) -> Neighbours:
         """Return all agents as others observe them, and which of them an agent gives way to."""
         found = self._around[number]
         return found if found.agreed == self.agreed else found._replace(agreed=self.agreed)
@@ -148,7 +148,7 @@ class GivingWay:
         (x, z), (was_x, was_z) = actor.xz.tolist(), self._places[number, first].tolist()
         self.at[number], seconds = (x, z, actor.heading), STEP_S * max(self._moments - first, 1)
         velocity, flags = ((x - was_x) / seconds, (z - was_z) / seconds), (actor.yields, bool(actor.hindered_by))
-        self.onlookers.note(number, actor, velocity, actor.path_start, yields=flags[0], hindered=flags[1])
+        self.neighbours.note(number, actor, velocity, actor.path_start, yields=flags[0], hindered=flags[1])
 
     def meets(self, me: AnyActor) -> bool:
         """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
@@ -195,7 +195,7 @@ class GivingWay:
         if self._moments == self._places.shape[1]:
             self._places = np.concatenate([self._places, np.empty_like(self._places)], axis=1)
         self._moments += 1
-        near = _CALL(_note, self._places, self._moments, self.onlookers.agents, self._reaches, *_STILL)
+        near = _CALL(_note, self._places, self._moments, self.neighbours.agents, self._reaches, *_STILL)
         self.touching = []
         if near:
             self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self.at[a], b) and self._touch(a, b)]

@@ -26,9 +26,9 @@ from sim_kinematic.agents.stands import island_of, nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import (
-    NO_ONLOOKERS,
+    NO_NEIGHBOURS,
     NO_PATH,
-    Onlookers,
+    Neighbours,
     crowds,
     in_the_way,
     path_around,
@@ -108,9 +108,9 @@ class PersonActor:
         """True after the person was turned away: they take paths around people who stand until they make progress."""
 
     @property
-    def others(self) -> Onlookers:
+    def others(self) -> Neighbours:
         """Agents of the world, and to which of them the person gives way."""
-        return NO_ONLOOKERS if self.company is None else self.company.around(self.number)
+        return NO_NEIGHBOURS if self.company is None else self.company.around(self.number)
 
     def meets(self) -> bool:
         """Return whether the person touches an agent now, in which case both stay where they were."""

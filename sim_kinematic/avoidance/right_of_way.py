@@ -28,7 +28,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_of_paths, distance_to_path, first_of_path, is_ahead
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
-from sim_kinematic.avoidance.yielding import NO_PATH, Body, Onlookers, discs_of
+from sim_kinematic.avoidance.yielding import NO_PATH, Body, Neighbours, discs_of
 
 _CALL = Entries()
 MARK = np.dtype(
@@ -182,7 +182,7 @@ class RightOfWay:
     def _looked(self) -> NDArray[Any]:
         """Return the present state of the agents, `AGENT` [A]."""
         walkers = list(self._walkers.values())
-        found = Onlookers.of(walkers)
+        found = Neighbours.of(walkers)
         for k, walker in enumerate(walkers):
             found.note(k, walker, start=walker.path_start, yields=walker.yields, hindered=bool(walker.hindered_by))
         return found.agents

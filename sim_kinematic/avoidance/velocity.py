@@ -18,7 +18,7 @@ from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
-from sim_kinematic.avoidance.yielding import RULES, Onlookers, discs_to_avoid
+from sim_kinematic.avoidance.yielding import RULES, Neighbours, discs_to_avoid
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_worlds, integrate_along, least_clearance, wrap_angle
@@ -255,7 +255,7 @@ def keep_clear(
     state: RobotState,
     wanted: tuple[float, float],
     towards: NDArray,
-    others: Onlookers,
+    others: Neighbours,
     held_by: NDArray[np.int64],
     target: tuple[float, float] | None = None,
     before: tuple[float, float] | None = None,
@@ -327,7 +327,7 @@ def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array(base.disc_offsets_m, np.float64), np.array(hull_of(base), np.float64)
 
 
-def crowding(base: BaseSpec, stands: NDArray, others: Onlookers) -> NDArray[np.int64]:
+def crowding(base: BaseSpec, stands: NDArray, others: Neighbours) -> NDArray[np.int64]:
     """Rate how close a robot at stands ``(x, z, heading)`` [N, 3] would be to other agents at present, as int [N].
 
     The rating is 1 within the margin of an agent, 2 in contact with one, and 0 otherwise.

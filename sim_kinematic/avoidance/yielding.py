@@ -70,7 +70,7 @@ class Body(Protocol):
         ...
 
 
-class Onlookers(NamedTuple):
+class Neighbours(NamedTuple):
     """Agents of one world as arrays, which kernels read, and which of them one agent gives way to."""
 
     agents: NDArray[Any]
@@ -78,12 +78,12 @@ class Onlookers(NamedTuple):
     offsets: NDArray[np.float64]
     """Offsets of the discs of their footprints along the heading [A, D] [m], of which the first ``discs`` count."""
     heeded: NDArray[np.bool_]
-    """True for the agents to which the one who looks gives way, [A]."""
+    """True for the agents to which the observing agent gives way, [A]."""
     agreed: bool = False
     """True if all agents step aside for each other when they are asked."""
 
     @classmethod
-    def of(cls, bodies: Sequence[Body]) -> Onlookers:
+    def of(cls, bodies: Sequence[Body]) -> Neighbours:
         """Return the arrays of some agents, numbered in this order, who stand and are all heeded."""
         prints = [body.footprint for body in bodies]
         most = max((len(footprint.offsets_m) for footprint in prints), default=1)
@@ -148,8 +148,8 @@ class Onlookers(NamedTuple):
         return _CALL(discs_to_avoid, *xz.tolist(), *told, reach_m, (math.inf, *RULES[1:]))
 
 
-NO_ONLOOKERS = Onlookers.of(())
-"""Onlookers of an agent that is alone."""
+NO_NEIGHBOURS = Neighbours.of(())
+"""Neighbours of an agent that is alone."""
 
 
 @kernel(error_model="numpy")
@@ -168,9 +168,9 @@ def discs_to_avoid(x, z, agents, offsets, heeded, held_by, agreed, reach, rules)
     Args:
         x: place of the base.
         z: place of the base.
-        agents: `Onlookers.agents`.
-        offsets: `Onlookers.offsets`.
-        heeded: `Onlookers.heeded`.
+        agents: `Neighbours.agents`.
+        offsets: `Neighbours.offsets`.
+        heeded: `Neighbours.heeded`.
         held_by: number of the agent that holds each object [K]; one that holds something counts as moving, however long it
             has been standing.
         agreed: whether agents that stand may be passed more closely, because they step aside when asked.
@@ -205,13 +205,13 @@ def discs_of(body: Body) -> NDArray[np.float64]:
     return np.array([(x + c * offset, z - s * offset, radius) for offset in offsets])
 
 
-def waits(number: int, others: Onlookers, k: int) -> bool:
+def waits(number: int, others: Neighbours, k: int) -> bool:
     """Return whether a person waits for the agent in row ``k`` that blocks them, which moves and has a smaller number."""
     # an order of all people: if two waited for each other, neither would ever walk on
     return bool(others.agents["number"][k] < number and not others.standing[k])
 
 
-def in_the_way(xz: NDArray, towards: NDArray, others: Onlookers) -> int:
+def in_the_way(xz: NDArray, towards: NDArray, others: Neighbours) -> int:
     """Return the row of the nearest agent that blocks a person at ``xz`` [2] who walks straight ``towards`` [2], or -1."""
     return _CALL(blocker, *xz.tolist(), *towards.tolist(), *others[:3], RULES)
 
@@ -243,7 +243,7 @@ def path_around(
     free: FreeSpace,
     xz: NDArray,
     goal: NDArray,
-    others: Onlookers,
+    others: Neighbours,
     *,
     radius_m: float = AVOIDANCE.person.radius_m,
     passing_m: Sequence[float] = AVOIDANCE.passing_m,
@@ -267,7 +267,7 @@ def shut_off(
     free: FreeSpace,
     xz: NDArray,
     places: NDArray,
-    others: Onlookers,
+    others: Neighbours,
     *,
     radius_m: float = AVOIDANCE.person.radius_m,
 ) -> NDArray[np.bool_]:
@@ -282,7 +282,7 @@ def shut_off(
 
 
 def retreat_place(
-    free: FreeSpace, xz: NDArray, others: Onlookers, *, wider_m: float = 0.0
+    free: FreeSpace, xz: NDArray, others: Neighbours, *, wider_m: float = 0.0
 ) -> NDArray[np.float64] | None:
     """Return the place [2] nearest to a robot at ``xz`` [2] from which a person nearby has room to pass.
 
@@ -307,7 +307,7 @@ def retreat_place(
     return places[fits][np.argmin(lengths[fits])] if fits.any() else None
 
 
-def crowds(places: NDArray, others: Onlookers) -> NDArray[np.bool_]:
+def crowds(places: NDArray, others: Neighbours) -> NDArray[np.bool_]:
     """Return whether a person at places ``(x, z, heading)`` [N, 3] would be too close to agents that stay, [N]."""
     gaps = places[:, None, :2] - others.places[others.heeded & ~others.leaving]
     return np.any(np.hypot(gaps[..., 0], gaps[..., 1]) < AVOIDANCE.apart_m, axis=1)

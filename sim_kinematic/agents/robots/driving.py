@@ -28,7 +28,7 @@ from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import carrying_base_of, footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import base_numbers, braking_speed, keep_clear
-from sim_kinematic.avoidance.yielding import NO_ONLOOKERS, NO_PATH, Onlookers, path_around, retreat_place
+from sim_kinematic.avoidance.yielding import NO_NEIGHBOURS, NO_PATH, Neighbours, path_around, retreat_place
 from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import ROBOT, RobotState
@@ -114,9 +114,9 @@ class RobotDriver:
         return self.company is not None and self.company.agreed
 
     @property
-    def others(self) -> Onlookers:
+    def others(self) -> Neighbours:
         """Agents of the world, and to which of them the robot gives way."""
-        return NO_ONLOOKERS if self.company is None else self.company.around(self.number)
+        return NO_NEIGHBOURS if self.company is None else self.company.around(self.number)
 
     def meets(self) -> bool:
         """Return whether the robot touches another agent in its present posture, so that it stays where it was."""
@@ -387,7 +387,7 @@ class RobotDriver:
         if self._numbers[0] is not base:
             self._numbers = base, base_numbers(base)
         clears, aim = self.avoids and avoid, self.xz if towards is None else towards
-        others = self.others if clears else NO_ONLOOKERS, self.objects.held_by
+        others = self.others if clears else NO_NEIGHBOURS, self.objects.held_by
         told = self._target if base.maneuvers else None, before if clears and eases and base.maneuvers else None
         # what the kernel does not do by itself: other ways to slide, stairs, and to refuse what is not finite
         slides = base.slide == "strict" and not free.has_stairs and math.isfinite(sum(wanted))
@@ -428,7 +428,7 @@ class RobotDriver:
             self.base = self._carrying_base
 
 
-def _has_come_near(others: Onlookers, stood: NDArray, xz: NDArray) -> bool:
+def _has_come_near(others: Neighbours, stood: NDArray, xz: NDArray) -> bool:
     """Return whether another agent is near the robot at ``xz`` [2] that was not at ``stood`` [A, 2] before.
 
     Those that were too far away to be planned around stood at NaN.

@@ -24,7 +24,7 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import RULES, discs_to_avoid
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
 from sim_kinematic.motion.state import NOBODY, WorldState
-from tests.sim.avoidance.commands import Seen, onlookers
+from tests.sim.avoidance.commands import Seen, neighbours
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_it_turns_to_a_near_point_instead_of_driving_round_it(free: FreeSpace, d
 
 def beside(xz: np.ndarray) -> Any:
     """A company of one person who has settled."""
-    around = onlookers(Seen(xz, settled=True))
+    around = neighbours(Seen(xz, settled=True))
     return SimpleNamespace(agreed=False, around=lambda _: around, meets=lambda _: False)
 
 

@@ -12,7 +12,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance import velocity
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import base_numbers
-from sim_kinematic.avoidance.yielding import Onlookers
+from sim_kinematic.avoidance.yielding import Neighbours
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import RobotState
 
@@ -31,9 +31,9 @@ class Seen(NamedTuple):
     footprint: Footprint = AVOIDANCE.person
 
 
-def onlookers(*others: Seen, first: int = 1) -> Onlookers:
+def neighbours(*others: Seen, first: int = 1) -> Neighbours:
     """The arrays of some agents, of which the first has the number ``first``."""
-    found = Onlookers.of(others)
+    found = Neighbours.of(others)
     for k, other in enumerate(others):
         found.note(k, other, (float(other.velocity[0]), float(other.velocity[1])))
         found.agents["settled"][k], found.agents["number"][k] = other.settled, first + k
@@ -58,7 +58,7 @@ def kept_clear(
     target: Command | None = None,
 ) -> Command:
     """The command that keeps clear of others, of a robot that does not move."""
-    told = onlookers(*others), NOTHING_HELD, target
+    told = neighbours(*others), NOTHING_HELD, target
     return velocity.keep_clear(free, base_numbers(base), standing(xz, heading), wanted, towards, *told)[0]
 
 

@@ -28,7 +28,7 @@ from sim_kinematic.motion.state import WorldState
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.recorder import run
-from tests.sim.avoidance.commands import Seen, onlookers
+from tests.sim.avoidance.commands import Seen, neighbours
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange
 
 
@@ -145,18 +145,18 @@ def seen(
 def test_a_robot_is_as_long_as_it_is() -> None:
     along, across = (seen([1.0, 0.55], is_robot=True, heading=h) for h in (0.0, np.pi / 2))
     here, there = np.zeros(2), np.array([3.0, 0.0])
-    assert in_the_way(here, there, onlookers(seen([1.0, 0.65]))) == -1
-    assert in_the_way(here, there, onlookers(seen([1.0, 0.65], velocity=(0, -1)))) == 0
-    assert in_the_way(here, there, onlookers(seen([3.0, 3.0]), across)) == 1
-    assert in_the_way(here, there, onlookers(seen([-0.5, 0.0]))) == -1
+    assert in_the_way(here, there, neighbours(seen([1.0, 0.65]))) == -1
+    assert in_the_way(here, there, neighbours(seen([1.0, 0.65], velocity=(0, -1)))) == 0
+    assert in_the_way(here, there, neighbours(seen([3.0, 3.0]), across)) == 1
+    assert in_the_way(here, there, neighbours(seen([-0.5, 0.0]))) == -1
     assert len(discs_of(along)) == 3
     np.testing.assert_allclose(discs_of(across)[:, 0], 1.0, atol=1e-9)
 
 
 def test_whom_one_gets_no_nearer_to_is_not_in_the_way() -> None:
     """Two people side by side in a corridor waited for each other for the rest of the episode."""
-    assert in_the_way(np.zeros(2), np.array([3.0, 0.0]), onlookers(seen([0.05, 0.5]))) == -1
-    assert in_the_way(np.zeros(2), np.array([3.0, 0.0]), onlookers(seen([0.3, 0.5]))) == 0
+    assert in_the_way(np.zeros(2), np.array([3.0, 0.0]), neighbours(seen([0.05, 0.5]))) == -1
+    assert in_the_way(np.zeros(2), np.array([3.0, 0.0]), neighbours(seen([0.3, 0.5]))) == 0
 
 
 def test_a_way_round_all_who_stand(free: FreeSpace) -> None:
@@ -167,7 +167,7 @@ def test_a_way_round_all_who_stand(free: FreeSpace) -> None:
         others = [seen((p + q) / 2) for p, q in pairwise(path)][:2]
         if any(min(np.hypot(*(o.xz - a)), np.hypot(*(o.xz - b))) < 1.0 for o in others):
             continue
-        way = path_around(free, a, b, onlookers(*others))
+        way = path_around(free, a, b, neighbours(*others))
         if way is not None:
             found += 1
             whole = np.vstack([a, way])
@@ -176,7 +176,7 @@ def test_a_way_round_all_who_stand(free: FreeSpace) -> None:
                 for o in others
             )
         moving = [o._replace(velocity=(1.0, 1.0)) for o in others]
-        assert path_around(free, a, b, onlookers(*moving)) is not None  # they will be elsewhere
+        assert path_around(free, a, b, neighbours(*moving)) is not None  # they will be elsewhere
     assert found >= 2
 
 
@@ -487,8 +487,8 @@ def test_the_kernel_finds_who_is_in_the_way() -> None:
             for _ in range(int(rng.integers(4)))
         ]
         xz, towards = rng.uniform(-0.5, 0.5, (2, 2))
-        found.add(in_the_way(xz, towards, onlookers(*others)))
-        assert in_the_way(xz, towards, onlookers(*others)) == blocker_in_python(xz, towards, others)
-        discs = onlookers(*others).discs(np.ones(len(others), np.bool_))
+        found.add(in_the_way(xz, towards, neighbours(*others)))
+        assert in_the_way(xz, towards, neighbours(*others)) == blocker_in_python(xz, towards, others)
+        discs = neighbours(*others).discs(np.ones(len(others), np.bool_))
         np.testing.assert_array_equal(discs, np.concatenate([np.zeros((0, 3)), *map(discs_of, others)]))
     assert found == {-1, 0, 1, 2}

@@ -26,7 +26,7 @@ from sim_kinematic.avoidance.yielding import NO_PATH, shut_off
 from sim_kinematic.policies.rearrange import Planner
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.recorder import simulate
-from tests.sim.avoidance.commands import Seen, onlookers
+from tests.sim.avoidance.commands import Seen, neighbours
 from tests.sim.avoidance.test_right_of_way import floor_of
 
 
@@ -334,10 +334,10 @@ def test_who_stands_against_whom_they_flee_goes_on_only_from_some_way_off() -> N
 def test_places_behind_who_stands_in_a_doorway_are_shut_off(rooms: FreeSpace) -> None:
     stands = Seen(np.array([5.25, 2.0]), settled=True)
     places = np.array([[2.0, 1.0], [9.0, 2.0]])
-    assert shut_off(rooms, np.array([4.0, 2.0]), places, onlookers(stands)).tolist() == [False, True]
+    assert shut_off(rooms, np.array([4.0, 2.0]), places, neighbours(stands)).tolist() == [False, True]
     moves = stands._replace(velocity=(1.0, 0.0))
-    assert shut_off(rooms, np.array([4.0, 2.0]), places, onlookers(moves)).tolist() == [False, False]
-    assert shut_off(rooms, np.array([4.0, 2.0]), places[:0], onlookers(stands)).tolist() == []
+    assert shut_off(rooms, np.array([4.0, 2.0]), places, neighbours(moves)).tolist() == [False, False]
+    assert shut_off(rooms, np.array([4.0, 2.0]), places[:0], neighbours(stands)).tolist() == []
 
 
 def test_nobody_steps_aside_to_where_the_other_is_about_to_walk(rooms: FreeSpace) -> None:

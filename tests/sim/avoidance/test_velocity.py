@@ -22,7 +22,7 @@ from sim_kinematic.avoidance.velocity import (
 )
 from sim_kinematic.motion.spec import HOME_BASE, STEP_S, BaseSpec
 from sim_kinematic.motion.step import drive_robots, integrate, least_clearance
-from tests.sim.avoidance.commands import NOTHING_HELD, Seen, kept_clear, onlookers, reference, standing
+from tests.sim.avoidance.commands import NOTHING_HELD, Seen, kept_clear, neighbours, reference, standing
 
 COMMANDS = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
 ROUNDING = 1e-12
@@ -39,9 +39,9 @@ def roomy() -> tuple[FreeSpace, np.ndarray]:
 def eased(base: BaseSpec, wanted: tuple, before: tuple) -> tuple[float, float]:
     """The command of a step in which nobody is near."""
     free, at = roomy()
-    return keep_clear(free, base_numbers(base), standing(at, 0.0), wanted, at, onlookers(), NOTHING_HELD, None, before)[
-        1
-    ]
+    return keep_clear(
+        free, base_numbers(base), standing(at, 0.0), wanted, at, neighbours(), NOTHING_HELD, None, before
+    )[1]
 
 
 @given(st.integers(0, 10_000), st.integers(0, 3), st.booleans(), st.booleans(), st.booleans())
@@ -61,7 +61,7 @@ def test_a_step_has_the_bits_of_its_parts(seed: int, count: int, eases: bool, co
     result = reference(free, base, expected, tuple(wanted), towards, others, *told)
     if drives:
         drive_robots(expected, free, np.array([result[1]]), base)
-    around = onlookers(*others), NOTHING_HELD
+    around = neighbours(*others), NOTHING_HELD
     given = keep_clear(free, base_numbers(base), robot, tuple(wanted), towards, *around, *told, drives=drives)
     assert np.array(given).tobytes() == np.array(result).tobytes()
     for mine, theirs in zip(robot.arrays(), expected.arrays(), strict=True):
@@ -146,4 +146,4 @@ def test_stands_are_rated_by_the_nearest_agent(seed: int, stands: int, others: i
         gaps = [least_gap(x, z, heading, *other.xz, hull, reach) for other in discs]
         near = any(gap < AVOIDANCE.margin_m for gap in gaps)
         expected.append(2 if any(gap < AVOIDANCE.still_margin_m for gap in gaps) else int(near))
-    assert crowding(HOME_BASE, at, onlookers(*discs)).tolist() == expected
+    assert crowding(HOME_BASE, at, neighbours(*discs)).tolist() == expected
