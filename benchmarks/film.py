@@ -51,8 +51,7 @@ def figures_of(recording: Recording, scene: str) -> dict[str, tuple[float, str]]
     walks = Walks.of(recording, open_scene(source), free)
     human = [k for k, agent in enumerate(recording.agents) if agent.kind == "human"]
     # a robot that drives about is nobody who gets on
-    people = Walks(*(part if part.ndim == 1 else part[:, human] for part in walks))
-    crowd, hours = describe([people]), len(recording) * len(human) / 30 / 3600
+    crowd, hours = describe([walks.only(human)]), len(recording) * len(human) / 30 / 3600
     return {
         "penetration.film.above_2cm": (float((depth > 0.02).mean()), f"of {len(depth)} steps"),
         "penetration.film.worst": (1000 * float(depth.max()), "mm"),

@@ -172,6 +172,11 @@ class Walks(NamedTuple):
         together = tuple(map(tuple, groups.values()))
         return cls(xz, np.diff(xz, axis=0) * RATE, touching, room, floor_around(scene, free, xz), goes, together)
 
+    def only(self, people: list[int]) -> Walks:
+        """Return the motion of some of the people, without their groups."""
+        own = {name: getattr(self, name)[:, people] for name in ("xz", "velocity", "room", "floor", "goes")}
+        return self._replace(**own, groups=())
+
     @classmethod
     def of_tracks(cls, recording: Recording) -> Walks:
         """Return the motion of the people of an imported file of tracks, in rows of one rate."""
