@@ -43,7 +43,7 @@ from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Box, Instance, instance_bounds, instance_matrix
 from h3data_crowds.routines import KEPT, PERSON_M, Routine, Stop, no_wall_between, place_beside
 from sim_kinematic.agents.arm_tuck import held_close
-from sim_kinematic.crowd.crowd import VERSION
+from sim_kinematic.crowd.crowd import ROUTINE_VERSION, VERSION
 from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station
 from sim_kinematic.crowd.seating import SETTLE_S, steps_between
 from sim_kinematic.motion.randomness import generator
@@ -219,6 +219,7 @@ class ChoreRoutine(Routine):
         *,
         start: NDArray[np.float64],
         number: int = 0,
+        version: int = ROUTINE_VERSION,
     ) -> None:
         """Check the stops as `Routine` does, and plan the chores.
 
@@ -229,11 +230,12 @@ class ChoreRoutine(Routine):
             body: The person's body.
             start: Position (x, z) [2] [m] from which the person comes.
             number: Number of the agent; people with different numbers put their things at different spots.
+            version: Version of the rules of people by which the chores are planned (`follow`).
         """
         super().__init__(scene, free, stops, body)
         self._body, self._start, self._number = body, start, number
         self.use(CarryingHands((), (), body))
-        self.follow(self.version)
+        self.follow(version)
         scale = reacher(body, "right").body.scale
         self._carry = np.stack([CARRIED * scale * (1, 1, -1), CARRIED * scale])
         self._tray_at = _carried_tray(body, scale)

@@ -227,8 +227,7 @@ def chores(episode: Any, number: int) -> ChoreRoutine:
         # a phone needs no special thing: it is looked at beside any
         stops.append(Stop(scene.instances[0].name, "phone", 10.0))
     start = episode.starts[number, :2]
-    routine = ChoreRoutine(scene, free, stops, member.body, start=start, number=number)
     # recordings of people who are driven hold no version of these rules: they follow the first
-    routine.follow(1)
+    routine = ChoreRoutine(scene, free, stops, member.body, start=start, number=number, version=1)
     routine.use(DrivenHands(routine, scene, free, member.body, start, number))
     return routine

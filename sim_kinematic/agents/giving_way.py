@@ -218,8 +218,7 @@ class GivingWay:
     def _gated(self, actor: AnyActor) -> AgentCapsules:
         """Return the capsules around an agent in its present posture."""
         capsules, (was, now) = self._capsules[actor.number], (self._postures[actor.number], _posture(actor))
-        # whatever poses a person makes a new array
-        if was is not now and (not isinstance(now, bytes) or was != now):
+        if not _is_same(was, now):
             self._postures[actor.number] = now
             if isinstance(actor, RobotActor):
                 capsules.pose(actor.joints)
@@ -230,11 +229,7 @@ class GivingWay:
     def _pose(self, actor: AnyActor) -> None:
         """Bring an agent's shapes to where recordings, which are float32, put them."""
         now, was = (*actor.xz.tolist(), actor.heading, _posture(actor)), self._posed.get(actor.number)
-        if (
-            was is not None
-            and was[:3] == now[:3]
-            and (was[3] is now[3] or (isinstance(now[3], bytes) and was[3] == now[3]))
-        ):
+        if was is not None and was[:3] == now[:3] and _is_same(was[3], now[3]):
             return
         self._posed[actor.number] = now
         body = self.bodies[actor.number]
@@ -250,6 +245,11 @@ def _posture(actor: AnyActor) -> Any:
     """Return what tells the present posture of an agent from others, wherever it is."""
     # by value of robots, whose joints are changed in place; whatever poses a person makes a new array
     return actor.joints.tobytes() if isinstance(actor, RobotActor) else actor.person.quats
+
+
+def _is_same(was: Any, now: Any) -> bool:
+    """Return whether two results of `_posture` for one agent are the same posture."""
+    return was is now or (isinstance(now, bytes) and was == now)
 
 
 def _root(actor: AnyActor) -> Array:

@@ -122,16 +122,14 @@ class RightOfWay:
         self._walkers = {walker.number: walker for walker in walkers}
         self._asks = asks
         numbers = [walker.number for walker in walkers]
-        self._beside_m = {w.number: AVOIDANCE.beside_m[w.is_robot] + _size_beyond_default(w) for w in walkers}
-        """Distance from an agent's path within which another agent blocks it [m]."""
-        self._extent_m = {walker.number: walker.footprint.extent_m for walker in walkers}
         self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)
         self._requests: dict[int, _Request] = {}
         self._marks = np.zeros(len(walkers), MARK)
         """Progress of each agent, `MARK` [A]."""
         for row, walker in zip(self._marks, walkers, strict=True):
             (row["x"], row["z"]), row["heading"] = walker.xz, walker.heading
-            row["beside"], row["extent"] = self._beside_m[walker.number], self._extent_m[walker.number]
+            row["beside"] = AVOIDANCE.beside_m[walker.is_robot] + _size_beyond_default(walker)
+            row["extent"] = walker.footprint.extent_m
         self._row = {number: row for row, number in enumerate(numbers)}
         """Row of each agent in ``_marks``, by number."""
 
@@ -251,21 +249,19 @@ class RightOfWay:
 
     def _blocks(self, other: Walker, me: Walker) -> bool:
         """Return whether an agent should step aside for me."""
-        held_up, start, theirs = (
-            self._stalled(me.number) >= AVOIDANCE.held_up_steps,
-            self._start(me),
-            self._start(other),
-        )
+        start, moves = self._start(me), self._start(other) is not None
+        held_up = self._stalled(me.number) >= AVOIDANCE.held_up_steps
         if other.yields and held_up and other.number in me.hindered_by:
             return True
-        (x, z), moves = (math.nan, math.nan) if start is None else start, theirs is not None
-        marks = self._beside_m[me.number], self._extent_m[other.number]
-        if not is_close(x, z, *other.xz.tolist(), moves, other.yields, held_up, *marks, *_COUNTS[-2:]):
+        x, z = (math.nan, math.nan) if start is None else start
+        beside = float(self._marks["beside"][self._row[me.number]])
+        extent = float(self._marks["extent"][self._row[other.number]])
+        if not is_close(x, z, *other.xz.tolist(), moves, other.yields, held_up, beside, extent, *_COUNTS[-2:]):
             return False
         ahead_m = AVOIDANCE.asks_moving_m if len(self.path(other)) else AVOIDANCE.asks_idle_m
         # an agent that is nearer to me than to the path ahead of me is behind or beside me, and clear as I go on
         path = np.ascontiguousarray(self.path(me), np.float64)
-        return is_ahead(discs_of(other), path, AVOIDANCE.skips_m, ahead_m, self._beside_m[me.number], *me.xz.tolist())
+        return is_ahead(discs_of(other), path, AVOIDANCE.skips_m, ahead_m, beside, *me.xz.tolist())
 
     def _ask(self, other: Walker, me: Walker, first: Sequence[Walker]) -> bool:
         """Ask an agent to step aside for me; return whether it does."""

@@ -86,7 +86,10 @@ class Agenda(Protocol):
     """State of the person's hands; None: they handle nothing."""
 
     def follow(self, version: int) -> Agenda:
-        """Follow a version of the rules of people (`sim_kinematic.crowd.crowd.VERSION`) from now on; return itself."""
+        """Follow a version of the rules of people (`sim_kinematic.crowd.crowd.VERSION`) from now on; return itself.
+
+        Before the first call, the newest version for people with routines is followed.
+        """
         ...
 
     @property

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_from_matrix, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
-from h3data.scene.freespace._geodesic import first_leg
 from sim_kinematic.agents.company import Company
 from sim_kinematic.agents.opening.openables import ArticulatedParts
 from sim_kinematic.agents.robots.arm_clearance import ArmClearance
@@ -363,9 +362,8 @@ class RobotDriver:
     def _leg(self, goal: NDArray) -> tuple[float, NDArray]:
         """Return the length of the path to a floor point [2] [m], or infinity, and the point to drive to first."""
         # nearer points are passed over: an inflated corner is an arc of points 5 cm apart
-        free, ends = self.free, (*self.xz.tolist(), *goal.tolist())
-        length, x, z = free.entries(first_leg, free.graph, *ends, 1.0, self.base.disc_radius_m / 2)
-        return length, goal if math.isinf(length) else np.array([x, z])
+        length, waypoint = self.free.first_leg(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
+        return length, goal if math.isinf(length) else waypoint
 
     def _error_to(self, xz: NDArray, bearing: float = 0.0) -> float:
         """Return by how much the robot must turn to have a floor point [2] at a bearing to its left [rad]."""

@@ -40,7 +40,7 @@ class CrowdPolicy:
 
         A person with a routine follows it; others walk from one random goal to another.
         """
-        self._routine = None if routine is None else routine.follow(ROUTINE_VERSION)
+        self._routine = routine
         # a seed of their own: with the episode's, all people would walk to the same goals
         self._goals = WaypointHuman(free, episode_seed(seed, number), walker)
         traits = sample_traits(seed, number, walker.speed_mps)
