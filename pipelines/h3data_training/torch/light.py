@@ -144,7 +144,7 @@ def directed(cubes: Tensor) -> tuple[Tensor, Tensor]:
     length, everywhere = vector.square().sum(-1).sqrt(), bright.sum(-1) / 1.5
     lit = ((length > 1e-6) & (everywhere > 1e-6))[..., None]
     up = vector.new_zeros(3)
-    up[1] = 1.0
+    up[1].fill_(1.0)  # an assignment would upload the number, which a CUDA graph cannot hold
     share = length / everywhere.clamp_min(1e-9) / FROM_DISC
     return torch.where(lit, vector / length.clamp_min(1e-9)[..., None], up), torch.where(
         lit[..., 0], share, 0.0
