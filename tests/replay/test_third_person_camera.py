@@ -23,6 +23,8 @@ FASTER_MPS = 5.5
 """The camera moves at most so much faster than the agent."""
 SEEN_PX = 60
 """Of 160x120."""
+PERSON_M = 0.35
+"""A person hides what is less than this beside their middle."""
 DT = 1 / 30
 HITL = "habitat-lab/reference/hitl"
 
@@ -36,6 +38,17 @@ def seen_px(replay: Replay, stride: int) -> np.ndarray:
     owner = np.append([d.agent for d in replay.drawables], -1)
     frames = replay.frames([small], range(0, len(replay), stride), outputs=("instance",))
     return np.array([(owner[picture["instance"]] == 0).sum() for _, (picture,) in frames])
+
+
+def is_behind_the_other(replay: Replay, stride: int) -> np.ndarray:
+    """True at the steps at which agent 1 is between the camera and agent 0."""
+    eye = camera_track(replay, "third_person").poses[::stride, :3, 3]
+    robot, person = (replay.recording.agent_column(k, "base_pose")[::stride, :3].astype(float) for k in (0, 1))
+    sight, passed = (robot - eye)[:, (0, 2)], (person - eye)[:, (0, 2)]
+    far = np.linalg.norm(sight, axis=1)
+    along = (sight * passed).sum(1) / far
+    beside = np.abs(sight[:, 0] * passed[:, 1] - sight[:, 1] * passed[:, 0]) / far
+    return (along > 0) & (along < far) & (beside < PERSON_M)
 
 
 def speed_past_agent(replay: Replay) -> float:
@@ -59,8 +72,9 @@ def share_of_the_other(replay: Replay, *, within_m: float) -> float:
 def test_the_agent_is_seen_in_generated_homes(seed: int) -> None:
     spec = SocialNavSpec(max_steps=150, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=1.0))
     replay = Replay(simulate_social_nav(social_nav_episode(build_home(HomeSpec(seed=seed)), seed=seed, spec=spec)))
-    # one of fifty frames: the person may walk through the line of sight, and is drawn whole then
-    assert (seen_px(replay, 3) > SEEN_PX).mean() > 0.97
+    # the person may walk through the line of sight, and is drawn whole then
+    assert ((seen_px(replay, 3) > SEEN_PX) | is_behind_the_other(replay, 3)).all()
+    assert (seen_px(replay, 3) > SEEN_PX).mean() > 0.9
     assert speed_past_agent(replay) < FASTER_MPS
     assert share_of_the_other(replay, within_m=2.5) > 0.6
     heights = camera_track(replay, "third_person").poses[:, 1, 3]

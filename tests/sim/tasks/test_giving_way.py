@@ -103,11 +103,11 @@ def test_people_set_off_and_brake_where_they_step_aside(home: Scene, free: FreeS
     person = play.team.people[0]  # type: ignore[attr-defined]
     path = person._path(free.sample(np.random.default_rng(3), 1)[0])
     assert np.hypot(*(path[0] - person.xz)) > 0.5
-    person.aside, places, gait_mps = path[:1], [person.xz], []
+    person.aside, places, gait_mps = path[:1], [person.xz.copy()], []
     for _ in range(200):
         gait_mps.append(person.person.walk.state[SPEED])
         person.idle()
-        places.append(person.xz)
+        places.append(person.xz.copy())
     speeds = np.hypot(*np.diff(places, axis=0).T) * 30
     assert np.hypot(*(places[-1] - path[0])) < 0.01, "they get there"
     assert speeds.max() > 0.4
