@@ -1,6 +1,6 @@
 """Script for docs/pictures/bending.jpg: bent limbs of several bodies, above by plain skin and below with half joints.
 
-python -m bake.people.bending_sheet docs/pictures/bending.jpg
+python -m bake.sheets.bending docs/pictures/bending.jpg
 """
 
 from __future__ import annotations
