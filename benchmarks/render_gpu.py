@@ -48,7 +48,7 @@ def stage(*, light: bool = False) -> GpuScene:
     instances += [RenderInstance(toy if k < 5 else link, np.eye(4)) for k in range(MOVERS)]
     instances.append(RenderInstance(person, np.eye(4), semantic_id=77))
     scene = RenderScene(meshes, instances, deformable=[person])
-    return GpuScene(scene, moving=range(first, first + MOVERS), skins={person: (skin, body.inverse_bind)})
+    return GpuScene(scene, moving=range(first, first + MOVERS), skins={person: (skin.influences, body.skin_bind)})
 
 
 class Steps:
@@ -69,7 +69,8 @@ class Steps:
         roots[..., 4], roots[..., 6] = np.sin(turn / 2), np.cos(turn / 2)
         steps = (phase / PHASES + np.arange(worlds) * 0.11) % 1
         quats, pelvis = body.walk_pose(np.full(steps.size, 1.2), steps.ravel())
-        joints = body.joint_matrices(roots.reshape(-1, 7), quats, pelvis).reshape(PHASES, worlds, 1, 55, 4, 4)
+        joints = body.joint_matrices(roots.reshape(-1, 7), quats, pelvis)
+        joints = body.skin_frames(joints).reshape(PHASES, worlds, 1, -1, 4, 4)
         angle = phase[..., None] * 0.2 + np.arange(MOVERS) * 0.7 + np.arange(worlds)[:, None] * 0.37
         things = np.tile(np.eye(4), (PHASES, worlds, MOVERS, 1, 1))
         things[..., 0, 0] = things[..., 2, 2] = np.cos(angle)

@@ -442,7 +442,7 @@ class ChoreRoutine(Routine):
         lead[0, 1], lead[0, 3] = [*palm, 1.0], [*palm, 0.6 * leans]
         lead_hands(body, quats, pelvis, lead)
         frames = body.joint_matrices(IDENTITY_POSE[None], quats, pelvis)
-        return float(body.skin(frames)[0, np.isin(body.lod.owners, HAND), 0].max())
+        return float(body.skin(frames, plain=True)[0, np.isin(body.lod.owners, HAND), 0].max())
 
     # --- movements -------------------------------------------------------------------------------------------------------
     def _take(self, plan: Chore, t: Array) -> Movement:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.people.skinning import Influences
 from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE
 from h3data.mesh.glb import UINT8, VERTICES, GlbChunk, cutout, gltf_document, matte, pack_glb, placement
@@ -44,16 +45,6 @@ class GlbNode:
     scale: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
     extras: Mapping[str, Any] = field(default_factory=dict)
     """Plain JSON that other programs preserve or ignore."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Influences:
-    """Joints of a skin that move each vertex of a mesh, with their weights."""
-
-    joints: NDArray[np.uint8]
-    """Indices into the joints of the skin, shape [V, 4]."""
-    weights: NDArray[np.float32]
-    """Weights of the joints, which sum to 1, shape [V, 4]."""
 
 
 def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) -> bytes:

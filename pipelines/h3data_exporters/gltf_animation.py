@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.people.skinning import Influences
 from h3data.errors import InputError
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
@@ -18,7 +19,7 @@ from h3data.mesh.glb import FLOAT32, GlbChunk, gltf_document, pack_glb
 from h3data.mesh.mesh import Mesh
 from h3data.recording.records import Recording
 from h3data.replay import Replay
-from h3data_exporters.glb_write import Influences, mesh_lists
+from h3data_exporters.glb_write import mesh_lists
 from h3data_exporters.gltf_skin import Node, add_joints, local_poses, skin_record, trs
 from h3data_exporters.posed_parts import PosedCamera, PosedPart
 from h3data_exporters.posing import drawn_note, posed_cameras, posed_parts

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.people.skinning import Influences
 from h3data.geometry import Array
 from h3data.mesh.mesh import Mesh
 from h3data.recording.records import Body
-from h3data_exporters.glb_write import Influences
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

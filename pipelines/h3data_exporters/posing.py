@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid
 from h3data.bodies.people.humanoid import SkinnedMesh as PersonMesh
-from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M
+from h3data.bodies.people.skeleton import HALF_JOINTS, HUMAN_ROOT_HEIGHT_M
+from h3data.bodies.people.skinning import Influences
 from h3data.errors import SceneError
 from h3data.geometry import (
     Array,
@@ -24,7 +25,6 @@ from h3data.render import OPENGL_TO_OPENCV
 from h3data.replay.cameras import THIRD_PERSON, camera_names, camera_track
 from h3data.replay.records import JointTrack, LinkTrack, PersonTrack, RigTrack
 from h3data.replay.replay import Replay
-from h3data_exporters.glb_write import Influences
 from h3data_exporters.posed_parts import PosedCamera, PosedPart, Skeleton
 
 _ROOT_OF_PERSON = np.array([0, HUMAN_ROOT_HEIGHT_M, 0, *quat_from_heading(np.pi / 2)])
@@ -121,11 +121,11 @@ def _skeleton_of_person(replay: Replay, agent: int, steps: NDArray[np.integer]) 
     assert isinstance(body, Humanoid)
     mesh: PersonMesh = body.lod if replay.detail is False else body.full
     return Skeleton(
-        names=body.joint_names,
-        parents=body.parents,
-        poses=_poses(replay.joint_matrices(agent, steps)),
-        inverse_bind=np.asarray(body.inverse_bind, np.float64),
-        influences=_influences(mesh.joints, mesh.weights),
+        names=(*body.joint_names, *HALF_JOINTS),
+        parents=(*body.parents, *(body.parents[joint] for joint in HALF_JOINTS.values())),
+        poses=_poses(body.skin_frames(replay.joint_matrices(agent, steps))),
+        inverse_bind=np.asarray(body.skin_bind, np.float64),
+        influences=_influences(*mesh.influences),
     )
 
 

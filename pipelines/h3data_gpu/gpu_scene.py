@@ -4,26 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.people.skinning import Influences
 from h3data.render.scene import RenderScene
-
-
-class SkinWeights(Protocol):
-    """Protocol of the skin weights of a mesh, e.g. `h3data.bodies.people.humanoid.SkinnedMesh`."""
-
-    @property
-    def joints(self) -> NDArray[np.uint8]:
-        """Indices of the joints that move each vertex, shape [V, 4]."""
-        ...
-
-    @property
-    def weights(self) -> NDArray[np.float32]:
-        """Weights of the four joints that move each vertex, shape [V, 4]."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +19,7 @@ class GpuScene:
     scene: RenderScene
     moving: Sequence[int] = ()
     """Instances that have their own pose in every world; instances of deformable meshes need not be listed."""
-    skins: Mapping[int, tuple[SkinWeights, NDArray[Any]]] = field(default_factory=dict)
+    skins: Mapping[int, tuple[Influences, NDArray[Any]]] = field(default_factory=dict)
     """Skin weights and inverse bind matrices [J, 4, 4] of deformable meshes that follow joints. Other deformable meshes
     get their vertices by `GpuRenderer.update_vertices`."""
 

@@ -36,7 +36,11 @@ class TorchSkin:
             self._operator = torch.sparse_csr_tensor(
                 rows, columns, torch.from_numpy(points.data), points.shape, device=self.device, check_invariants=True
             )
-        self._inverse_bind = torch.from_numpy(body.inverse_bind).to(self.device, torch.float32)
+        joints, parents, bind = body.half_joints
+        self._halves = torch.from_numpy(joints).to(self.device), torch.from_numpy(parents).to(self.device)
+        self._half_bind, self._bind = (
+            torch.from_numpy(matrices).to(self.device, torch.float32) for matrices in (bind, body.skin_bind)
+        )
 
     def __call__(self, joint_matrices: torch.Tensor) -> torch.Tensor:
         """Return world vertices, float32 [..., V, 3] [m], for transforms of joints to the world [..., 55, 4, 4].
@@ -48,7 +52,22 @@ class TorchSkin:
 
         lead = joint_matrices.shape[:-3]
         frames = joint_matrices.to(self.device, torch.float32).reshape(-1, *joint_matrices.shape[-3:])
-        matrices = (frames @ self._inverse_bind)[:, :, :3]
+        matrices = (torch.cat([frames, self._half_frames(frames)], 1) @ self._bind)[:, :, :3]
         palette = matrices.permute(1, 3, 0, 2).reshape(-1, 3 * len(frames))
         points = (self._operator @ palette).reshape(self.vertex_count, len(frames), 3).transpose(0, 1)
         return points.reshape(*lead, self.vertex_count, 3) if len(lead) != 1 else points
+
+    def _half_frames(self, frames: torch.Tensor) -> torch.Tensor:
+        """Return the frames of the half joints [N, H, 4, 4], as `h3data.bodies.people.kernels.skin` computes them."""
+        import torch
+
+        joint, parent = (frames[:, which, :3, :3] for which in self._halves)
+        turn = (parent @ self._half_bind).mT @ joint
+        w = (1 + turn.diagonal(dim1=-2, dim2=-1).sum(-1)).clamp(min=1e-6).sqrt() / 2
+        x = (turn - turn.mT) / (4 * w)[..., None, None]
+        # the matrix of the cross product with the vector of the quaternion, whose scalar is 1 + w
+        w = (1 + w)[..., None, None]
+        halved = torch.eye(3, device=self.device) + (w * x + x @ x) * 2 / (w * w + (x * x).sum((-2, -1), True) / 2)
+        out = frames[:, self._halves[0]].clone()
+        out[..., :3, :3] = parent @ self._half_bind @ halved
+        return out

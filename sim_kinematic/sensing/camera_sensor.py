@@ -333,7 +333,7 @@ class StateRenderer:
         for lod in (False, True):
             rows = np.flatnonzero(light == lod)
             bounds = body.bounds[int(lod)]
-            for w, own in zip(rows.tolist(), bounds.posed(joints[rows]), strict=True):
+            for w, own in zip(rows.tolist(), bounds.posed(body.skin_matrices(joints[rows])), strict=True):
                 seen[w] = any(may_see(camera, own, bounds.radii, bounds.starts) for camera in cameras[w :: self.worlds])
             for w in rows.tolist():
                 self.renderer.set_visible(drawn.instances, [seen[w] and not lod, seen[w] and lod], world=w)

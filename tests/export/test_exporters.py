@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from h3data.bodies.people.skeleton import JOINT_NAMES
+from h3data.bodies import Humanoid
+from h3data.bodies.people.skeleton import HALF_JOINTS, JOINT_NAMES
 from h3data.bodies.robots.robot_files import robot_names
 from h3data.bodies.robots.robot_loading import load_robot
 from h3data.errors import InputError
@@ -165,10 +166,13 @@ def test_our_own_people_and_robots_come_back_where_they_were(
         np.testing.assert_allclose(one.pose, other.pose, atol=1e-6)
     links = [d for d in replay.drawables if d.agent == 0]
     assert sum(body.agent == 0 for body in back.bodies) == len(links) > 5
-    assert back.episode.info["rigs"][0]["bones"] == list(JOINT_NAMES)
+    assert back.episode.info["rigs"][0]["bones"] == [*JOINT_NAMES, *HALF_JOINTS]
     assert not [name for name in back.columns if "person_root" in name]
     joints = pose_to_matrix(back.columns["rig.0"].astype(np.float64))
-    np.testing.assert_allclose(joints, replay.joint_matrices(1, np.arange(len(recording))), atol=2e-6)
+    body = replay.model(1)
+    assert isinstance(body, Humanoid)
+    frames = body.skin_frames(replay.joint_matrices(1, np.arange(len(recording))))
+    np.testing.assert_allclose(joints, frames, atol=2e-6)
     people = 0
     for index, (old, new) in enumerate(zip(replay.drawables, again.drawables, strict=True)):
         assert old.semantic_id == new.semantic_id
@@ -370,7 +374,7 @@ class Played:
 def test_an_animation_played_by_the_book_is_the_replay(recording: Recording, replay: Replay, tmp_path: Path) -> None:
     made = write_gltf_animation(recording, posed_parts(replay), tmp_path / "a.glb", cameras=posed_cameras(replay))
     played = Played(made.path)
-    assert made.joints == 55
+    assert made.joints == len(JOINT_NAMES) + len(HALF_JOINTS)
     assert made.seconds == pytest.approx(59 / 30, abs=1e-4)
     for step in STEPS:
         found = played.by_name(int(step))

@@ -141,9 +141,9 @@ def test_homes_with_a_walking_person_look_as_on_the_cpu(make, size):
     cameras = eight_views(scene)
     joints = walking(cameras)
     mesh = int(scene.instance_mesh[person])
-    stage = GpuScene(scene, skins={mesh: (body.lod, body.inverse_bind)})
+    stage = GpuScene(scene, skins={mesh: (body.lod.influences, body.skin_bind)})
     gpu = make(stage, width=WIDTH, height=HEIGHT, worlds=8)
-    gpu.update_joints(joints)
+    gpu.update_joints(body.skin_frames(joints))
     got = {name: t.cpu().numpy() for name, t in gpu.render(cameras, outputs=OUTPUTS).items()}
     cpu, skinned = Renderer(scene), body.skin(joints)
     for k, camera in enumerate(cameras):
@@ -211,10 +211,10 @@ def test_nan_poses_and_nan_joints_hide(make):
     scene = RenderScene(
         [room(), body.lod_mesh], [RenderInstance(0, np.eye(4)), RenderInstance(1, np.eye(4))], deformable=[1]
     )
-    gpu = make(GpuScene(scene, skins={1: (body.lod, body.inverse_bind)}), width=WIDTH, height=HEIGHT, worlds=2)
+    gpu = make(GpuScene(scene, skins={1: (body.lod.influences, body.skin_bind)}), width=WIDTH, height=HEIGHT, worlds=2)
     fresh = gpu.render(ROOM_VIEWS, outputs=OUTPUTS)
     assert (fresh["instance"] == 1).sum() > 100  # as the scene was built
-    gpu.update_joints(np.full((2, 55, 4, 4), np.nan))
+    gpu.update_joints(np.full((2, 63, 4, 4), np.nan))
     assert not (gpu.render(ROOM_VIEWS, outputs=["instance"])["instance"] == 1).any()
 
 

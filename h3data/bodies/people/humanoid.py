@@ -28,9 +28,10 @@ from h3data.bodies.people.clips import (
     pose_at_speed,
     sample_clips,
 )
-from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_NAMES, PARENT_ARRAY, PARENTS
+from h3data.bodies.people.skeleton import HALF_JOINTS, JOINT_COUNT, JOINT_NAMES, PARENT_ARRAY, PARENTS
 from h3data.bodies.people.skinning import (
     FEW_FRAMES,
+    Influences,
     Skin,
     SkinBounds,
     apply_skin,
@@ -38,6 +39,7 @@ from h3data.bodies.people.skinning import (
     build_skin,
     build_skin_bounds,
     skin_chunks,
+    with_half_joints,
 )
 from h3data.geometry import Array, normalized
 from h3data.mesh.mesh import Mesh
@@ -66,9 +68,17 @@ class SkinnedMesh:
     @cached_property
     def skin(self) -> Skin:
         """Sparse skinning operators, built at first use (20 ms for the full mesh)."""
-        mesh = self.mesh
-        assert mesh.normals is not None
-        return build_skin(mesh.vertices, mesh.normals, self.joints, self.weights, len(JOINT_NAMES))
+        return build_skin(self.mesh.vertices, self.mesh.normals, *self.influences, JOINT_COUNT + len(HALF_JOINTS))
+
+    @cached_property
+    def plain_skin(self) -> Skin:
+        """Skinning operators without half joints, built at first use."""
+        return build_skin(self.mesh.vertices, self.mesh.normals, self.joints, self.weights, JOINT_COUNT)
+
+    @cached_property
+    def influences(self) -> Influences:
+        """Joints and half joints that move the skin, computed from `joints` and `weights` at first use."""
+        return with_half_joints(self.joints, self.weights)
 
     @cached_property
     def owners(self) -> NDArray[np.uint8]:
@@ -158,9 +168,9 @@ class Humanoid:
     @cached_property
     def _capsule_arrays(self) -> tuple[NDArray[np.intp], Array, Array, Array]:
         # as arrays, since contact needs all of them in every step
-        joints = np.array([c.joint for c in self.capsules])
-        start, end = np.array([c.start for c in self.capsules]), np.array([c.end for c in self.capsules])
-        return joints, start, end, np.array([c.radius for c in self.capsules])
+        rows = [(c.joint, c.start, c.end, c.radius) for c in self.capsules]
+        joints, start, end, radius = (np.array(column) for column in zip(*rows, strict=True))
+        return joints, start, end, radius
 
     def clip_for_speed(self, speed_mps: float) -> int:
         """Return the motion id of the clip that fits ``speed_mps``; 0 (standing) at speeds near 0."""
@@ -232,12 +242,43 @@ class Humanoid:
         free_joint_frames(_doubles(root_pose), quats, self.joint_offsets, PARENT_ARRAY, frames)
         return frames
 
-    def skin(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
+    @cached_property
+    def skin_bind(self) -> Array:
+        """Transforms from the body frame of the rest mesh to the frames of joints and half joints, shape [63, 4, 4]."""
+        return np.concatenate([self.inverse_bind, self.inverse_bind[self.half_joints[0]]])
+
+    @cached_property
+    def half_joints(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """Joints and parents [H] of the half joints, and rotations of the joints in the parents at rest [H, 3, 3]."""
+        joints = np.fromiter(HALF_JOINTS.values(), np.intp)
+        bind, parent_bind = self.inverse_bind[joints, :3, :3], self.inverse_bind[PARENT_ARRAY[joints], :3, :3]
+        return joints, PARENT_ARRAY[joints], np.ascontiguousarray(parent_bind @ bind.transpose(0, 2, 1))
+
+    def skin_matrices(self, joint_matrices: Array) -> Array:
+        """Return the matrices [..., 63, 4, 4] from the rest mesh to the world for joint frames [..., 55, 4, 4].
+
+        They are those of the joints, then of the half joints (`h3data.bodies.people.skeleton.HALF_JOINTS`).
+        """
+        from h3data.bodies.people.kernels.skin import skin_palette
+
+        frames = _doubles(joint_matrices).reshape(-1, *joint_matrices.shape[-3:])
+        out = np.empty((len(frames), len(self.skin_bind), 4, 4))
+        skin_palette(frames, *self.half_joints, self.skin_bind, out)
+        return out.reshape(*joint_matrices.shape[:-3], *out.shape[1:])
+
+    def skin_frames(self, joint_matrices: Array) -> Array:
+        """Return the frames [..., 63, 4, 4] of joints and half joints in the world for joint frames [..., 55, 4, 4]."""
+        return self.skin_matrices(joint_matrices) @ np.linalg.inv(self.skin_bind)
+
+    def skin(self, joint_matrices: Array, *, lod: bool = True, plain: bool = False) -> NDArray[np.float32]:
         """Return the world positions of the vertices, float32 [..., V, 3] [m], for joint frames [..., 55, 4, 4].
 
-        Leading axes are frames, worlds, or both. The computation is one sparse matrix product.
+        Leading axes are frames, worlds, or both. The computation is one sparse matrix product. ``plain`` leaves out the
+        half joints (`h3data.bodies.people.skinning`); postures that recordings depend on are computed so.
         """
-        skin, matrices = (self.lod if lod else self.full).skin, joint_matrices @ self.inverse_bind
+        part = self.lod if lod else self.full
+        skin = part.plain_skin if plain else part.skin
+        matrices = joint_matrices @ self.inverse_bind if plain else self.skin_matrices(joint_matrices)
         # few frames, as while an episode runs, have a faster product with the same bits
         if matrices.ndim == 4 and len(matrices) <= FEW_FRAMES:
             return apply_skin_frames(skin.frame, matrices)
@@ -245,13 +286,13 @@ class Humanoid:
 
     def skin_chunks(self, joint_matrices: Array, *, lod: bool = True) -> Iterator[tuple[slice, NDArray[np.float32]]]:
         """Yield slices of the joint frames [T, 55, 4, 4] with the skinned vertices [t, V, 3] [m], for long recordings."""
-        return skin_chunks((self.lod if lod else self.full).skin.points, joint_matrices @ self.inverse_bind)
+        return skin_chunks((self.lod if lod else self.full).skin.points, self.skin_matrices(joint_matrices))
 
     def skin_normals(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
         """Return the world shading normals, float32 [T, V, 3], unit length, for the vertices of `skin`."""
         part = self.lod if lod else self.full
         # blended normals are shorter than 1 where joints bend
-        return normalized(apply_skin(part.skin.normals, joint_matrices @ self.inverse_bind)).astype(np.float32)
+        return normalized(apply_skin(part.skin.normals, self.skin_matrices(joint_matrices))).astype(np.float32)
 
     def capsules_world(self, joint_matrices: Array) -> tuple[Array, Array, Array]:
         """Return the segment starts [T, C, 3], ends [T, C, 3] and radii [C] [m] of the collision capsules."""
@@ -294,10 +335,7 @@ class Humanoid:
     @cached_property
     def bounds(self) -> tuple[SkinBounds, SkinBounds]:
         """Spheres that bound the full mesh and the simplified mesh in any pose, built at first use."""
-        full, light = (
-            build_skin_bounds(part.mesh.vertices, part.joints, part.weights, self.inverse_bind)
-            for part in (self.full, self.lod)
-        )
+        full, light = (build_skin_bounds(part.mesh.vertices, *part.influences) for part in (self.full, self.lod))
         return full, light
 
     def light_enough(self, focal_px: float, distance_m: float) -> bool:

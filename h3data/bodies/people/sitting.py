@@ -140,7 +140,7 @@ class Sitting:
         # what touches decides how far back, neck and legs are turned: each part is lowered or lifted to where the hips are
         for _ in range(8):
             quats = self._laid_out(flat[None])
-            skin = body.skin(body.joint_matrices(IDENTITY_POSE, quats, np.zeros((1, 3))))[0]
+            skin = body.skin(body.joint_matrices(IDENTITY_POSE, quats, np.zeros((1, 3))), plain=True)[0]
             hips, *others = (float(skin[part, 1].min()) for part in parts)
             trunk, head, legs = np.degrees((np.array(others) - hips) / levers / body.height_m)
             flat += (-trunk, 0.0, trunk - head, -legs, -legs, 0.0)
@@ -154,7 +154,7 @@ class Sitting:
         _lay_hands_on_thighs(body, quats, pelvis, np.ones(TABLE))
         belly = pelvis[:, None] + body.height_m * np.array([BELLY, BELLY]) * ((1.0, 1.0, -1.0), (1.0, 1.0, 1.0))
         lead_wrists(body, quats, pelvis, belly, arms_by[:, 0], pole=LYING_ELBOWS, twist_deg=TWIST_DEG)
-        skin = body.skin(body.joint_matrices(IDENTITY_POSE, quats, pelvis))
+        skin = body.skin(body.joint_matrices(IDENTITY_POSE, quats, pelvis), plain=True)
         # skin before the front edge need not be above the surface until the feet are over it, and skirts give way
         above = (skin[..., 0] < self.edge_m - 2 * PATH_SINK_M) | (share >= TUCKED)[:, None]
         hips_of_legs = [JOINT_INDEX[f"{side}_hip"] for side, _, _ in SIDES]
@@ -165,7 +165,9 @@ class Sitting:
     @cached_property
     def lying_size(self) -> Array:
         """Distances from the hips of a lying person to head, toes and sides [3] [m]."""
-        skin = self.body.skin(self.body.joint_matrices(IDENTITY_POSE, *(part[-1:] for part in self.lying)))[0]
+        skin = self.body.skin(self.body.joint_matrices(IDENTITY_POSE, *(part[-1:] for part in self.lying)), plain=True)[
+            0
+        ]
         ahead = skin[:, 0] - self.lying[1][-1, 0]
         return np.array([-ahead.min(), ahead.max(), np.abs(skin[:, 2]).max()])
 
@@ -262,14 +264,14 @@ def sitting_on(body: Humanoid, seat_m: float) -> Sitting:
         pelvis[2] = ankle[2] + knee_ahead_m - np.sqrt(flat) - hips[2]
         posed = _in_root(body, Posture(quats=quats[None], pelvis=pelvis[None], ankle=stand.ankle, foot=stand.foot))
         # from the agent root's axes, forward, up and right, to right, up and forward
-        vertices = body.skin(body.joint_matrices(IDENTITY_POSE, *posed))[0][:, ::-1]
+        vertices = body.skin(body.joint_matrices(IDENTITY_POSE, *posed), plain=True)[0][:, ::-1]
         under = seat_skin & (vertices[:, 2] < pelvis[2] + BUTTOCKS_M)
         pelvis[1] += seat_m - SINK_M - vertices[under, 1].min()
     draft = Sitting(body=body, seat_m=seat_m, edge_m=0.0, back_m=0.0, seated=(quats, pelvis))
     # shares of the path at which the front edge is kept out of the body
     shares_of_path = np.linspace(0.4, 1.0, 13)
     roots = np.tile(IDENTITY_POSE, (len(shares_of_path), 1))
-    skin = body.skin(body.joint_matrices(roots, *draft.pose(shares_of_path)))
+    skin = body.skin(body.joint_matrices(roots, *draft.pose(shares_of_path)), plain=True)
     ahead = skin[..., 0] + np.where(shares_of_path < 1, PATH_SINK_M, SINK_M)[:, None]
     # skin below the height of the seat would be in it if the edge were further forward
     edge = float(ahead[skin[..., 1] < seat_m - PATH_SINK_M].min())

@@ -51,3 +51,10 @@ JOINT_INDEX: dict[str, int] = {name: i for i, name in enumerate(JOINT_NAMES)}
 PARENTS: tuple[int, ...] = tuple(JOINT_INDEX[parent] if parent else -1 for _, parent in _ROWS)
 JOINT_COUNT = len(JOINT_NAMES)
 PARENT_ARRAY = np.array(PARENTS)
+HALF_JOINTS: dict[str, int] = {
+    f"{side}_{joint}_half": JOINT_INDEX[f"{side}_{joint}"]
+    for joint in ("hip", "knee", "shoulder", "elbow")
+    for side in ("left", "right")
+}
+"""Names of the half joints and the index of the joint of each. A half joint is at the place of its joint and turned by half of
+the angle by which that is bent from the rest mesh. Half joints move skin only; in arrays they follow the joints."""

@@ -113,7 +113,7 @@ def _read(file: GltfFile, mesh: Mesh, linear: Array) -> SkinnedMesh | None:
     to_metres[:3, :3] = linear
     return SkinnedMesh(
         mesh=mesh,
-        points=build_skin(points, np.zeros_like(points), np.concatenate(joints), all_weights, loose + 1).points,
+        points=build_skin(points, None, np.concatenate(joints), all_weights, loose + 1).points,
         joint_names=tuple(name for names, _ in skins for name in names),
         inverse_bind=np.concatenate([binds for _, binds in skins]),
         to_metres=to_metres,

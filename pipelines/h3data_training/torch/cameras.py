@@ -122,7 +122,7 @@ class TensorCameras:
         eyes = [rest[camera.link] @ camera.pose for camera in mounted.values()]
         self._robot, self._links = on_device([*(rest[n] for n in links), *eyes]), len(links)
         self._cycle = WalkingCycle.of(human, walker)
-        joints = self._cycle.joint_matrices()
+        joints = human.skin_frames(self._cycle.joint_matrices())
         head = joints[:, human.joint_names.index("head")] @ HEAD_POSE
         self._person = on_device(np.concatenate([joints, head[:, None]], 1))
         self._frames = fused(self._frames_of) if compile else self._frames_of
@@ -204,7 +204,7 @@ def _stages(
             lit = lit_home(scene, meshes, instances, range(links.start))
             meshes, instances = lit.meshes, lit.instances
         drawn = RenderScene(meshes, instances, deformable=[person], mirrors=lit.mirrors if lit else None)
-        yield GpuScene(drawn, moving=links, skins={person: (skin, human.inverse_bind)}), lit
+        yield GpuScene(drawn, moving=links, skins={person: (skin.influences, human.skin_bind)}), lit
 
 
 def lit_home(

@@ -64,7 +64,7 @@ def _standing(body: Humanoid) -> np.ndarray:
 def test_sparse_skinning_equals_the_plain_definition(body: Humanoid, lod: bool) -> None:
     joints = body.joint_matrices_free(*_random_free_pose(35 if lod else 3))  # 35: more than one chunk
     part = body.lod if lod else body.full
-    expected = apply_skin_dense(part.mesh.vertices, part.joints, part.weights, joints @ body.inverse_bind)
+    expected = apply_skin_dense(part.mesh.vertices, *part.influences, body.skin_frames(joints) @ body.skin_bind)
     np.testing.assert_allclose(body.skin(joints, lod=lod), expected, atol=5e-6)
 
 
@@ -324,7 +324,7 @@ def test_a_few_frames_are_skinned_to_the_same_bits_as_many(body: Humanoid, lod: 
 def test_bounding_spheres_hold_every_vertex_in_the_hull_of_its_group(body: Humanoid, lod: bool) -> None:
     frames = body.joint_matrices_free(*_random_free_pose(4))
     bounds, vertices = body.bounds[int(lod)], body.skin(frames, lod=lod).astype(np.float64)
-    centers = bounds.posed(frames)
+    centers = bounds.posed(body.skin_matrices(frames))
     rng = np.random.default_rng(0)
     for direction in rng.normal(size=(20, 3)):  # a support function of the hulls is nowhere below that of the mesh
         direction /= np.linalg.norm(direction)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
+from h3data.bodies.people.skeleton import HALF_JOINTS
 from h3data.geometry import Array, heading_from_quat, quat_sign_continuous
 from h3data.progress import progress
 from h3data.recording.records import JOINTS
@@ -100,8 +101,8 @@ def _agent(
     there = np.isfinite(skin.skeleton.poses).all((1, 2))
     local[~there] = np.nan
     varied = np.ptp(local[there, :, 3:], axis=0).max(-1) > _STILL if there.any() else np.zeros(local.shape[1], np.bool_)
-    # bones that never bend keep the pose that the home's GLB gives them
-    bent = [j for j in range(1, local.shape[1]) if varied[j]]
+    # bones that never bend keep the pose that the home's GLB gives them, and the page turns half joints by their joints
+    bent = [j for j, name in enumerate(skin.skeleton.names) if j and varied[j] and name not in HALF_JOINTS]
     _add_poses(payload, f"agent_{k}.root", local[:, 0])
     payload.add_array(f"agent_{k}.quats", local[:, bent, 3:].reshape(len(local), -1), ROTATION)
     return {**entry, "bones": [skin.skeleton.names[j] for j in (0, *bent)]}

@@ -8,6 +8,7 @@ import {
   DirectionalLight,
   Group,
   HemisphereLight,
+  Matrix4,
   Mesh,
   MeshBasicMaterial,
   MeshLambertMaterial,
@@ -17,6 +18,7 @@ import {
   Vector3,
   type MeshStandardMaterial,
   type Object3D,
+  type SkinnedMesh,
 } from "three";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import type { Base } from "../motion/drive.ts";
@@ -34,6 +36,14 @@ const SHADOW_M = 0.42;
 interface PersonRig {
   bones: (Bone | undefined)[];
   meshes: Object3D[];
+  halves: HalfJoint[];
+}
+
+/** A bone that is turned half as far as a joint, from the joint's rotation at rest; skin follows it, so that bent joints keep their volume. */
+interface HalfJoint {
+  half: Bone;
+  joint: Bone;
+  rest: Quaternion;
 }
 
 export class World {
@@ -184,6 +194,7 @@ export class World {
       this.turn.fromArray(b.quats, i);
       rig.bones[k]?.quaternion.fromArray(a.quats, i).slerp(this.turn, share);
     }
+    for (const { half, joint, rest } of rig.halves) half.quaternion.copy(rest).slerp(joint.quaternion, 0.5);
   }
 
   /** Moves a node as if the base under it were somewhere else. */
@@ -235,7 +246,19 @@ function personRig(root: Group, agent: StagedAgent): PersonRig {
   root.traverse((node) => {
     if ("isSkinnedMesh" in node && [nameOf(node), nameOf(node.parent!)].includes(agent.name)) meshes.push(node);
   });
-  return { bones: (agent.bones ?? []).map((name) => bones.get(name)), meshes };
+  return { bones: (agent.bones ?? []).map((name) => bones.get(name)), meshes, halves: halfJoints(bones, meshes) };
+}
+
+/** Half joints of a skin by their names, with the rotation that their joints have at rest. */
+function halfJoints(bones: Map<string, Bone>, meshes: Object3D[]): HalfJoint[] {
+  const skeleton = (meshes[0] as SkinnedMesh | undefined)?.skeleton;
+  const inverse = (bone: Object3D): Matrix4 => skeleton?.boneInverses[skeleton.bones.indexOf(bone as Bone)] ?? new Matrix4();
+  return [...bones].flatMap(([name, half]) => {
+    const joint = name.endsWith("_half") ? bones.get(name.slice(0, -5)) : undefined;
+    if (!joint) return [];
+    const local = inverse(joint.parent!).clone().multiply(inverse(joint).clone().invert());
+    return [{ half, joint, rest: new Quaternion().setFromRotationMatrix(local) }];
+  });
 }
 
 /** three cleans names (`robot/arm` loses its slash, doubles get a number): user data keep what the file said. */
