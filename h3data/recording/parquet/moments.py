@@ -85,8 +85,7 @@ def _quantiles(
     # most components of a recording never change, and sorting takes more time than all other statistics together
     varied = np.flatnonzero(low < high)
     if len(varied):
-        shares = np.array(list(QUANTILES.values()))
-        rank = np.maximum(np.ceil(shares * count[varied, None]) - 1, 0).astype(np.intp)
+        rank = np.maximum(np.ceil(np.array(list(QUANTILES.values())) * count[varied, None]) - 1, 0).astype(np.intp)
         ordered = x.T[varied]
         ordered.sort(axis=1)  # NaN come last
         quantiles[:, varied] = ordered[np.arange(len(varied))[:, None], rank].T
