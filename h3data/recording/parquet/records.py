@@ -75,10 +75,13 @@ class DatasetRecords:
             table, owners = self._tables[key]
             # records are sorted by episode, since episodes are only ever appended
             bounds = np.searchsorted(owners, [*episodes, episodes.stop])
-            first = bounds[0]
             # most episodes have no records of some kinds
-            records = _records(SIDECARS[kind], table.slice(first, bounds[-1] - first)) if bounds[-1] > first else []
-            return [tuple(records[a - first : b - first]) for a, b in itertools.pairwise(bounds)]
+            records = (
+                _records(SIDECARS[kind], table.slice(bounds[0], bounds[-1] - bounds[0]))
+                if bounds[-1] > bounds[0]
+                else []
+            )
+            return [tuple(records[a - bounds[0] : b - bounds[0]]) for a, b in itertools.pairwise(bounds)]
         except DAMAGE as error:
             last = episodes[-1]
             which = f"episode {last}" if len(episodes) == 1 else f"episodes {episodes[0]} to {last}"
