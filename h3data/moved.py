@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from types import MappingProxyType, ModuleType
 from typing import Any
@@ -337,7 +336,7 @@ def new_name(module: str) -> str | None:
     return MOVED[old] + module[len(old) :] if old else None
 
 
-class MovedFinder(MetaPathFinder):
+class MovedFinder:
     """Import finder of last resort, for modules that no other finder has found."""
 
     def find_spec(

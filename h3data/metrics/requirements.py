@@ -82,7 +82,13 @@ def missing_columns(metric: Metric, recording: Recording) -> tuple[str, ...]:
 
 def note_missing(metrics: Sequence[Metric], recording: Recording, notes: Notes) -> set[str]:
     """Return the names of the metrics that lack something, each with a note; raise a `MissingColumnsError` if all do."""
-    needs = {m.name: missing for m in metrics if (missing := missing_columns(m, recording))}
+    # most metrics need the same few columns: each is looked up once
+    lacking = {
+        entry
+        for entry in {entry for metric in metrics for entry in metric.columns}
+        if not any(_has(recording, name) for name in entry.split(OR))
+    }
+    needs = {m.name: missing for m in metrics if (missing := tuple(e for e in m.columns if e in lacking))}
     if len(needs) == len(metrics):
         raise MissingColumnsError(recording.episode.episode_id, needs)
     for name, missing in needs.items():

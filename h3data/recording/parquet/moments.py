@@ -60,29 +60,36 @@ def moments_of(values: NDArray[Any]) -> Moments:
             deviation = x - mean
             m2 = np.einsum("ij,ij->j", deviation, deviation)
             count = np.full(x.shape[1], float(len(x)))
-            return Moments(count, mean, m2, x.min(0) * 1.0, x.max(0) * 1.0, _quantiles(x, count))
+            low, high = x.min(0) * 1.0, x.max(0) * 1.0
+            return Moments(count, mean, m2, low, high, _quantiles(x, count, low, high))
         count = finite.sum(0).astype(np.float64)
         mean = np.where(finite, x, 0).sum(0, dtype=np.float64) / np.maximum(count, 1)
         m2 = (np.where(finite, x - mean, 0) ** 2).sum(0, dtype=np.float64)
         low, high = (
-            f(np.where(finite, x, fill), axis=0, initial=fill) for f, fill in ((np.min, np.inf), (np.max, -np.inf))
+            np.asarray(f(np.where(finite, x, fill), axis=0, initial=fill), np.float64)
+            for f, fill in ((np.min, np.inf), (np.max, -np.inf))
         )
-        quantiles = _quantiles(np.where(finite, x, np.nan), count)
-        return Moments(count, mean, m2, np.asarray(low, np.float64), np.asarray(high, np.float64), quantiles)
+        return Moments(count, mean, m2, low, high, _quantiles(np.where(finite, x, np.nan), count, low, high))
 
 
-def _quantiles(x: NDArray[np.floating], count: NDArray[np.float64]) -> NDArray[np.float64]:
+def _quantiles(
+    x: NDArray[np.floating], count: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the quantiles [5, width] of rows [T, width], NaN left out; 0 in columns without finite values.
 
     Each is the smallest value that the quantile's share of the values does not exceed. LeRobot computes them from
-    histograms, from which these differ by at most one bin.
+    histograms, from which these differ by at most one bin. ``count``, ``low`` and ``high`` are those of `Moments`.
     """
-    if not len(x):
-        return np.zeros((len(QUANTILES), x.shape[1]))
     # values that occur, and no interpolation: a quantile of a flag is 0 or 1
-    shares = np.array(list(QUANTILES.values()))
-    rank = np.maximum(np.ceil(shares[:, None] * count) - 1, 0).astype(np.intp)
-    return np.nan_to_num(np.take_along_axis(np.sort(x, axis=0), rank, axis=0).astype(np.float64))  # NaN are sorted last
+    quantiles = np.tile(np.where(count > 0, low, 0.0).astype(np.float64), (len(QUANTILES), 1))
+    # most components of a recording never change, and sorting takes more time than all other statistics together
+    varied = np.flatnonzero(low < high)
+    if len(varied):
+        rank = np.maximum(np.ceil(np.array(list(QUANTILES.values())) * count[varied, None]) - 1, 0).astype(np.intp)
+        ordered = x.T[varied]
+        ordered.sort(axis=1)  # NaN come last
+        quantiles[:, varied] = ordered[np.arange(len(varied))[:, None], rank].T
+    return quantiles
 
 
 def merged(a: Moments, b: Moments) -> Moments:

@@ -90,6 +90,17 @@ def find_goal(recording: Recording) -> Goal:
     return Goal(distance=unknown, straight=unknown, reached=np.zeros(rows, np.bool_), missing=missing)
 
 
+def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the scalar products [...] of vectors [..., 2]."""
+    # a quarter of the time of `np.sum` over an axis of two, with the same bits
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+
+
+def lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lengths [...] of vectors [..., 2], with the bits of `np.linalg.norm`."""
+    return np.sqrt(dot(vectors, vectors))
+
+
 def _stored(info: Mapping[str, Any]) -> Any:
     extra = info.get("extra")
     return info.get("goal", extra.get("goal") if isinstance(extra, Mapping) else None)
@@ -105,7 +116,7 @@ def _point(stored: Any) -> NDArray[np.float64] | None:
 
 def _point_goal(recording: Recording, robot: int, point: NDArray[np.float64]) -> Goal:
     at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
-    straight = np.linalg.norm(at - point, axis=1)
+    straight = lengths(at - point)
     distance = recording.columns.get(GOAL_DISTANCE, straight).astype(np.float64)
     notes = [] if GOAL_DISTANCE in recording.columns else [_straight(GOAL_DISTANCE)]
     if SUCCESS in recording.columns:
@@ -118,7 +129,7 @@ def _point_goal(recording: Recording, robot: int, point: NDArray[np.float64]) ->
 
 def _agent_goal(recording: Recording, robot: int, agent: int, others: tuple[int, ...]) -> Goal:
     ours, theirs = (recording.agent_column(number, "base_pose") for number in (robot, agent))
-    straight = np.linalg.norm(theirs[:, [0, 2]].astype(np.float64) - ours[:, [0, 2]], axis=1)
+    straight = lengths(theirs[:, [0, 2]].astype(np.float64) - ours[:, [0, 2]])
     distance, notes = straight, [_straight(GEODESIC)]
     if others == (agent,) and GEODESIC in recording.columns:  # with several it does not say to whom the path is
         distance, notes = recording.columns[GEODESIC].astype(np.float64), []

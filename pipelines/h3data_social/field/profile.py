@@ -31,7 +31,7 @@ from h3data_social.field.definitions import (
     STALLED_M_S,
     STALLED_RAD_S,
 )
-from h3data_social.field.goal import Goal, find_goal
+from h3data_social.field.goal import Goal, dot, find_goal, lengths
 from h3data_social.others import find_others, find_pair
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def _offsets(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.floa
     at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
     people = [recording.agent_column(number, "base_pose")[:, [0, 2]].astype(np.float64) for number in others]
     towards = np.stack(people, axis=1) - at[:, None]
-    return towards, np.linalg.norm(towards, axis=2)
+    return towards, lengths(towards)
 
 
 def field_series(recording: Recording) -> Series:
@@ -120,7 +120,7 @@ def _series(recording: Recording, goal: Goal, towards: NDArray[np.float64], dist
     seconds = recording.columns["time_ns"] * 1e-9
     velocity = _rate(at, seconds)
     acceleration = _rate(velocity, seconds)
-    speed = np.linalg.norm(velocity, axis=1)
+    speed = lengths(velocity)
     heading = heading_from_quat(pose[:, 3:]).reshape(-1)
     turn = np.full(len(at), np.nan)
     turn[1:] = wrap_angle(np.diff(heading))
@@ -131,8 +131,8 @@ def _series(recording: Recording, goal: Goal, towards: NDArray[np.float64], dist
         "dist_m": distance,
         "reach_m": goal.distance,
         "speed_m_s": speed,
-        "acceleration_m_s2": np.linalg.norm(acceleration, axis=1),
-        "jerk_m_s3": np.linalg.norm(_rate(acceleration, seconds), axis=1),
+        "acceleration_m_s2": lengths(acceleration),
+        "jerk_m_s3": lengths(_rate(acceleration, seconds)),
         "turn_rad": np.abs(turn),
         "ttc_s": np.fmin.reduce(times, axis=1),
         "personal_space": distance >= COMPLIANT_M,
@@ -164,9 +164,9 @@ def time_to_collision(
     ``offset`` [..., 2] [m] and ``velocity`` [..., 2] [m/s] give the shape [...]. The result is 0 where the two already
     overlap, and NaN where offset or velocity is NaN.
     """
-    a = np.sum(velocity * velocity, axis=-1)
-    b = np.sum(offset * velocity, axis=-1)
-    c = np.sum(offset * offset, axis=-1) - radius_m * radius_m
+    a = dot(velocity, velocity)
+    b = dot(offset, velocity)
+    c = dot(offset, offset) - radius_m * radius_m
     root = b * b - a * c
     with np.errstate(invalid="ignore", divide="ignore"):
         # c / (root - b) is the smaller root without the cancellation in (-b - root) / a.
