@@ -22,7 +22,7 @@ from h3data.render.light.sources import LightMode
 from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.agents.skills import CONTROL, Action, choices
-from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
+from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium, refuse_tensors
 from sim_kinematic.policies.assignment import assign, policy_names, resolve_policy, unknown_policy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.policy import External
@@ -313,6 +313,8 @@ class WorldStepper:
         Agents with skills are simulated until one that acts must choose again, or to the end. Worlds whose episode is
         over return zeros, and actions count only for the agents that are `choosing`.
         """
+        for agent, action in actions.items():
+            refuse_tensors(action, self.task.name, agent)
         if self.task.control.has_skills:
             return self._step_turns(actions)
         given = {

@@ -145,7 +145,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             Observations, rewards [W], terminated [W], truncated [W], and info.
 
         Raises:
-            InputError: the actions have the wrong shape or are not integers, or no episode has started.
+            InputError: the actions are no tensors, have the wrong shape or are not integers, or no episode has started.
         """
         self._require_begun()
         given = actions if isinstance(actions, Mapping) else {self.agents[0]: actions}
@@ -156,7 +156,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             )
         with torch.no_grad():
             for agent, chosen in given.items():
-                numbers = torch.as_tensor(chosen)
+                numbers = self._tensor(chosen, agent)
                 if numbers.shape != (self.num_envs,) or numbers.dtype.is_floating_point:
                     raise InputError(
                         f"Expected whole numbers of shape {[self.num_envs]}, got {numbers.dtype} {list(numbers.shape)}.",

@@ -171,10 +171,10 @@ class TaskTorchEnv(TorchEnv[Play]):
             Observations, rewards [W], terminated [W], truncated [W], and info.
 
         Raises:
-            InputError: the actions have the wrong shape, or no episode has started.
+            InputError: the actions are no tensor, have the wrong shape, or no episode has started.
         """
         self._require_begun()
-        given = torch.as_tensor(actions)
+        given = self._tensor(actions, "robot")
         if given.shape != self._action.shape:
             raise InputError(
                 f"Expected actions of shape {list(self._action.shape)}, got {list(given.shape)}.", code="H3-ENV-010"
