@@ -30,6 +30,7 @@ from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names, split_sizes
+from sim_kinematic.sensing.table import sensors_of
 from sim_kinematic.tasks.control import command_of, resting_arm
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import DecisionLoop, WorldRollout
@@ -408,7 +409,7 @@ class WorldStepper:
     def observe(self, agent: str) -> Arrays:
         """Return observations of an agent in all worlds, [W, ...] each."""
         number = self.numbers[agent]
-        own, sensors = self._sets[number], self.task.sensors(self._kind(number))
+        own, sensors = self._sets[number], self.task.sensors
         self._require_begun()
         first, *beside = (play.team for play in self.plays)
         exact = first.exact(number, own.states, sensors, beside=beside)
@@ -426,13 +427,14 @@ class WorldStepper:
         return [episode for play in self.plays for episode in play.episodes]
 
     def info(self, agent: str) -> Info:
-        """Return facts of the task about all worlds (`Task.info_of`), the same for every agent.
+        """Return success and the facts of the task about all worlds (`TaskUsage.env_info`), the same for every agent.
 
         For an agent with skills, the facts are its last skill, the objects, and the choices that are possible now.
         """
         play = self.play
         if not self.task.control.has_skills:
-            return self.task.info_of(play)
+            facts = {name: np.array(of(play)) for name, of in self.task.usage.env_info.items()}
+            return {"success": play.outcome.success.copy(), **facts}
         number, told = self.numbers[agent], []
         for w, (turns, play) in enumerate(zip(self.turns, self.plays, strict=True)):
             facts = {"steps": turns.steps, "step": play.step, **play.team.info(number)}
@@ -492,7 +494,7 @@ class WorldStepper:
                 if not (lone and sensors[name].of_other)
             }
             for k in numbers
-            for sensors in (self.task.sensors(roster[k].kind),)
+            for sensors in (sensors_of(roster[k].kind, self.task.sensors),)
         ]
         pictures = [(*picture_names(roster[k].body), *roster[k].body.camera_names) for k in numbers]
         known = [(*own, *seen) for own, seen in zip(states, pictures, strict=True)]

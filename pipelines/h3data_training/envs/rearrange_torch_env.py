@@ -16,6 +16,7 @@ from h3data_training.torch.rearrange.state import FREE, Play
 from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.policies.rearrange import PARTNERS
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, limits
+from sim_kinematic.sensing.table import sensors_of
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.sources import Scenes, in_words
 
@@ -106,7 +107,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
         super().__init__(num_envs, device, graph=graph, compile=compile)
         self._partner, usual = partner, self.task.usage.device_rules
         rules = spec or (usual if type(usual) is self.task.Spec else with_oracle_skills(self.task.Spec()))
-        self._sensors = {agent: self.task.sensors(agent) for agent in self.agents}
+        self._sensors = {agent: sensors_of(agent, self.task.sensors) for agent in self.agents}
         known = [name for agent in self.agents for name in observed_of(self._sensors[agent], rules.parts)]
         chosen = (observations,) if isinstance(observations, str) else tuple(observations)
         self._names = checked_observations(chosen, tuple(dict.fromkeys(known)))

@@ -17,7 +17,7 @@ from h3data_training.envs.torch_env import Tensors, TorchEnv
 from h3data_training.torch.task_worlds import Play, TaskTensors
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.sensing.sensor import DETECTED_PIXELS, HUMAN_ID, scaled_depth
-from sim_kinematic.sensing.table import STATE_OBSERVATIONS, Sensor
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS, Sensor, sensors_of
 from sim_kinematic.tasks.sources import Scenes, in_words
 from sim_kinematic.tasks.task import Task
 
@@ -152,7 +152,7 @@ class TaskTorchEnv(TorchEnv[Play]):
     @staticmethod
     def _sensors(task: Task) -> Mapping[str, Sensor]:
         """Return sensors of the robot that are not pictures, by name."""
-        return task.sensors("robot")
+        return sensors_of("robot", task.sensors)
 
     def _make_worlds(self, **options: Any) -> TaskTensors:
         worlds = TaskTensors(self.bank, task=self.task, **options)

@@ -192,7 +192,7 @@ def _fetch() -> Pairs:
 
     def compare(n: int, play: Any) -> None:
         for agent, kind in enumerate(test_rearrange.KINDS):
-            sensors = Fetch().sensors(kind)
+            sensors = Fetch.sensors
             mine = observed(View.of(pair.sim, pair.state, kind), SHOWN["fetch"], sensors)
             for name, values in exact([play.view(agent)], SHOWN["fetch"], sensors).items():
                 found[name].append((values, mine[name][n : n + 1].numpy()))
@@ -243,7 +243,7 @@ SHOWN = {
     "rearrange": tuple(name for name in OBSERVED if TABLE[name].times != "choices" and name != "elapsed_s"),
     "fetch": tuple(
         name
-        for name in observed_of(Fetch().sensors("robot"), Fetch.Spec().parts)
+        for name in observed_of(Fetch.sensors, Fetch.Spec().parts)
         if TABLE[name].times != "choices" and name not in ("elapsed_s", *OF_PATHS)
     ),
     "skill": OF_SKILLS,
