@@ -234,16 +234,12 @@ class WorldStepper:
         """
         number = self.numbers[agent]
         if not self.task.control.has_skills:
-            return gymnasium.spaces.Box(-1.0, 1.0, (self._width(number),), np.float32)
+            return gymnasium.spaces.Box(-1.0, 1.0, (self.play.world.widths[number],), np.float32)
         body = self.source.roster[number].body
         if self._is_low and isinstance(body, Robot):
             return gymnasium.spaces.Box(-1.0, 1.0, (len(body.require_arm()) + 3,), np.float32)
         known = choices(self._objects, robot=isinstance(body, Robot), parts=tuple(range(self.spec.parts)))
         return gymnasium.spaces.Discrete(len(known))
-
-    def _width(self, number: int) -> int:
-        is_robot = self.source.roster[number].kind == "robot"
-        return 3 if is_robot and self.play.world.bases[number].max_lateral_mps else 2
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
@@ -319,7 +315,7 @@ class WorldStepper:
         if self.task.control.has_skills:
             return self._step_turns(actions)
         given = {
-            self.numbers[agent]: checked_actions(action, (self.worlds, self._width(self.numbers[agent])))
+            self.numbers[agent]: checked_actions(action, (self.worlds, self.play.world.widths[self.numbers[agent]]))
             for agent, action in actions.items()
         }
         if not self.play.episodes:
