@@ -148,12 +148,14 @@ class World:
         self._person_contact: PersonContact = person_contact
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
-        drives = [isinstance(member.body, Robot) for member in self.roster]
-        self.widths = tuple(3 if d and b.max_lateral_mps else 2 for d, b in zip(drives, self.bases, strict=True))
+        self.widths = tuple(
+            3 if isinstance(member.body, Robot) and rules.max_lateral_mps else 2
+            for member, rules in zip(self.roster, self.bases, strict=True)
+        )
         """Number of values of each agent's velocity; 3 for a robot that can move sideways."""
         self._discs = tuple(
-            (b.disc_offsets_m, b.disc_radius_m) if d else ((0.0,), person_radius_m)
-            for d, b in zip(drives, self.bases, strict=True)
+            (rules.disc_offsets_m, rules.disc_radius_m) if isinstance(member.body, Robot) else ((0.0,), person_radius_m)
+            for member, rules in zip(self.roster, self.bases, strict=True)
         )
         state = WorldState.zeros(
             self.worlds,

@@ -429,8 +429,8 @@ class WorldStepper:
         """
         play = self.play
         if not self.task.control.has_skills:
-            facts = {name: np.array(of(play)) for name, of in self.task.usage.env_info.items()}
-            return {"success": play.outcome.success.copy(), **facts}
+            known = {"success": lambda play: play.outcome.success, **self.task.usage.env_info}
+            return {name: np.array(of(play)) for name, of in known.items()}
         number, told = self.numbers[agent], []
         for w, (turns, play) in enumerate(zip(self.turns, self.plays, strict=True)):
             facts = {"steps": turns.steps, "step": play.step, **play.team.info(number)}
