@@ -10,7 +10,9 @@ all episodes `ROUNDS` times. ``.apart`` is the difference, and ``.apart_ci`` hal
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -67,6 +69,9 @@ def cpu_successes(episodes: list[RearrangeEpisode], robot: str, partner: str) ->
 
 def device_successes(bank: RearrangeBank, robot: str, partner: str, device: str, rounds: int = ROUNDS) -> Any:
     """Return whether each episode succeeds on a device in each round, [rounds, N]."""
+    import torch
+
+    from h3data_training.populations import worlds
     from h3data_training.populations.playing import Job
     from h3data_training.populations.settings import ROBOT
     from h3data_training.populations.worlds import TensorPlayers
@@ -78,9 +83,14 @@ def device_successes(bank: RearrangeBank, robot: str, partner: str, device: str,
     # robots are trained at a temperature of 1, at which the device always chooses
     assert all(network.card.temperature == 1.0 for network in networks.values())
     players = TensorPlayers(bank, device)
+    # planners bring things in the order of the episode, as in an evaluation, and not in that of a training episode
+    orders: dict[str, Any] = (
+        {} if partner in networks else {"_orders": lambda *_: torch.as_tensor(bank.orders(partner), device=device)}
+    )
     plans = [partner if partner in networks else partner_plan(partner, seed) for seed in bank.seeds.tolist()]
     found = []
     for number in range(rounds):
         jobs = [Job(number, n, plan, networks, seed=1, gamma=0.99) for n, plan in enumerate(plans)]
-        found.append([played.ended == "success" for played in players.play(jobs).played])
+        with patch.multiple(worlds, **orders) if orders else nullcontext():
+            found.append([played.ended == "success" for played in players.play(jobs).played])
     return np.array(found)
