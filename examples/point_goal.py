@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -56,11 +55,20 @@ def drive_to_goal(view: AgentView, base: Any, *, look_ahead_m: float = 0.3) -> V
     return Velocity(forward, float(np.clip(4 * error, -1, 1)), "drive" if forward else "wait")
 
 
+def goal_gps(moment: Any) -> Any:
+    """Return the goal's distance [m] and angle [rad], positive to the right, [W, 2]."""
+    return gps_compass(moment.now.xz, moment.now.heading, moment.memory["goal"], xp=moment.xp)
+
+
 class PointGoal(Task):
     """Task of reaching a point near a person, with as few steps as possible nearer to them than ``personal_m``."""
 
     Spec = PointGoalSpec
     columns: ClassVar[Mapping[str, Any]] = {"metrics.goal_distance": np.float32, "metrics.disturbs": np.bool_}
+    sensors: ClassVar[Mapping[str, Sensor]] = {
+        **SENSORS,
+        "goal_gps": Sensor(goal_gps, [0.0, -np.pi], [100.0, np.pi], ("m", "rad"), "base", kinds=("robot",)),
+    }
     control: ClassVar[Control] = VelocityControl({"robot": ("drive", "wait")})
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {"drive_to_goal": drive_to_goal}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "drive_to_goal", "human": "waypoints"}
@@ -96,19 +104,10 @@ class PointGoal(Task):
             events=play.events_where(arrived, "arrived", agent=0),
         )
 
-    def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return every task's sensors, and the goal's distance [m] and angle [rad], positive to the right."""
-        goal = Sensor(partial(_goal_gps), [0.0, -np.pi], [100.0, np.pi])
-        return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
-
     def _distance(self, play: WorldRollout, goal: Any) -> Any:
         """Return the length of the shortest path to the goal [m], [W]; that of the straight line if there is no path."""
         far, gap = play.path_length(0, goal), goal - play.world.state.agents[0].xz
         return play.xp.where(play.xp.isfinite(far), far, play.xp.hypot(gap[:, 0], gap[:, 1]))
-
-
-def _goal_gps(moment: Any) -> Any:
-    return gps_compass(moment.now.xz, moment.now.heading, moment.memory["goal"], xp=moment.xp)
 
 
 if __name__ == "__main__":

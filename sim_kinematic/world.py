@@ -148,6 +148,15 @@ class World:
         self._person_contact: PersonContact = person_contact
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
+        self.widths = tuple(
+            3 if isinstance(member.body, Robot) and rules.max_lateral_mps else 2
+            for member, rules in zip(self.roster, self.bases, strict=True)
+        )
+        """Number of values of each agent's velocity; 3 for a robot that can move sideways."""
+        self._discs = tuple(
+            (rules.disc_offsets_m, rules.disc_radius_m) if isinstance(member.body, Robot) else ((0.0,), person_radius_m)
+            for member, rules in zip(self.roster, self.bases, strict=True)
+        )
         state = WorldState.zeros(
             self.worlds,
             robots=len(robots),
@@ -393,14 +402,13 @@ class World:
             isinstance(points, np.ndarray) and points.shape == (self.worlds, 2) and points.dtype == np.float64
             for points in posed
         ) and (not posed or first_not_finite(np.concatenate(posed)) < 0)
-        for member, command, base in zip(self.roster, commands, self.bases, strict=True):
+        for member, command, width in zip(self.roster, commands, self.widths, strict=True):
             assert command is not None, "agents with skills move themselves"
             known = sound and isinstance(command, PoseCommand) and member.kind == "human"
             if known or isinstance(command, RecordedPoseCommand | GaitCommand):
                 checked.append(command)
                 continue
             values = np.asarray(command[0], np.float64)
-            width = 3 if member.kind == "robot" and base.max_lateral_mps else 2
             if member.kind == "robot" and not isinstance(command, DriveCommand):
                 raise InputError(
                     f"{member.name} drives: expected DriveCommand, got {type(command).__name__}.", code="H3-SIM-054"
@@ -433,13 +441,7 @@ class World:
                 joints = member.body.joint_matrices(np.tile(IDENTITY_POSE, (self.worlds, 1)), *posture)
                 discs.append(legs_at(np, was.xz, was.heading, shins(joints)))
                 continue
-            is_robot = member.kind == "robot"
-            offsets = self.bases[k].disc_offsets_m if is_robot else (0.0,)
-            discs.append(
-                discs_at(
-                    was.xz, was.heading, offsets, self.bases[k].disc_radius_m if is_robot else self._person_radius_m
-                )
-            )
+            discs.append(discs_at(was.xz, was.heading, *self._discs[k]))
         return np.concatenate(discs, axis=1)
 
     def _driven_on(self, agent: int, free: FreeSpace) -> FreeSpace:

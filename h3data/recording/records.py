@@ -38,7 +38,7 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal
@@ -112,6 +112,11 @@ class Agent:
     motion_names: tuple[str, ...] = ()
     action_names: tuple[str, ...] = ()
     skill_names: tuple[str, ...] = ()
+
+
+def agent_numbers(agents: Iterable[Any], kind: Literal["robot", "human"]) -> list[int]:
+    """Return the numbers of all agents of a kind, of the agents of a recording or of a roster."""
+    return [k for k, agent in enumerate(agents) if agent.kind == kind]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -65,6 +65,18 @@ class CrowdNav(Task):
     agents: ClassVar[tuple[str, ...]] = ("robot", "human", "human", "human", "human")
     profile: ClassVar[str] = "social"
     columns: ClassVar[Mapping[str, Any]] = {"metrics.goal_distance": np.float32, "metrics.personal_space": np.bool_}
+    sensors: ClassVar[Mapping[str, Sensor]] = {
+        **Task.sensors,
+        # distance and angle of the goal
+        "goal_gps": Sensor(
+            lambda m: gps_compass(m.now.xz, m.now.heading, m.memory["goal"], xp=m.xp),
+            [0.0, -np.pi],
+            [FAR_M, np.pi],
+            ("m", "rad"),
+            "base",
+            kinds=("robot",),
+        ),
+    }
     control: ClassVar[Control] = VelocityControl({"robot": SKILLS})
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**ROBOTS, "imitation": imitation}}
     defaults: ClassVar[Mapping[str, str]] = {"robot": "dwa", "human": "orca"}
@@ -139,16 +151,7 @@ class CrowdNav(Task):
         arrived = (play.xp.hypot(gap[:, 0], gap[:, 1]) < play.spec.arrive_m) & ~touching
         return arrived, arrived
 
-    def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of every task, and for robots distance [m] and angle [rad] (right: > 0) of the goal."""
-        goal = Sensor(_goal_gps, [0.0, -np.pi], [FAR_M, np.pi])
-        return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
-
     def _left(self, play: WorldRollout, goal: Any) -> Any:
         """Return the length of the shortest path to the goal [m], [W]; the straight line where there is none."""
         far, gap = play.path_length(0, goal), goal - play.world.state.agents[0].xz
         return play.xp.where(play.xp.isfinite(far), far, play.xp.hypot(gap[:, 0], gap[:, 1]))
-
-
-def _goal_gps(moment: Any) -> Any:
-    return gps_compass(moment.now.xz, moment.now.heading, moment.memory["goal"], xp=moment.xp)

@@ -99,6 +99,16 @@ class Scenarios(CrowdNav):
         "human": {"card": lambda task, episode, number: _person(episode, number)},
     }
     defaults: ClassVar[Mapping[str, str]] = {"robot": "dwa", "human": "card"}
+    sensors: ClassVar[Mapping[str, Sensor]] = {
+        **CrowdNav.sensors,
+        # 0: none, 1: wait, 2: proceed
+        "gesture": Sensor(
+            lambda m: np.array([[float(GESTURES.index(episode.extra["gesture"]))] for episode in m.episodes]),
+            [0.0],
+            [2.0],
+            kinds=("robot",),
+        ),
+    }
     cards: ClassVar[str] = ALL
     """Names of the task's cards, used if the rules name none."""
     usage: ClassVar[TaskUsage] = TaskUsage(env_rules=ScenarioSpec(card="crowd_navigation"))
@@ -245,11 +255,6 @@ class Scenarios(CrowdNav):
         view = play.agent_view(agent, world)
         return view._replace(extra={**view.extra, "goal": play.memory["goal"][world].tolist()}) if agent == 0 else view
 
-    def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of `CrowdNav`, and for robots ``gesture`` (0: none, 1: wait, 2: proceed)."""
-        more = {"gesture": Sensor(_gesture, [0.0], [2.0])} if kind == "robot" else {}
-        return {**super().sensors(kind), **more}
-
 
 class CrowdFollow(Scenarios):
     """Task to follow a person at a distance of 1 to 2 m."""
@@ -282,10 +287,6 @@ class CrowdJoin(CrowdFollow):
 
     agents: ClassVar[tuple[str, ...]] = ("robot", "human", "human", "human")
     cards: ClassVar[str] = "join_group"
-
-
-def _gesture(moment: Any) -> Any:
-    return np.array([[float(GESTURES.index(episode.extra["gesture"]))] for episode in moment.episodes])
 
 
 def _offset(xz: Array, heading: Any, other: Array) -> Array:

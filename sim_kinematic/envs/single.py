@@ -105,6 +105,7 @@ def first(arrays: Any) -> Any:
 def one_row(action: ArrayLike) -> NDArray[Any]:
     """Return an action of one world as a row of any type; the stepper raises an error if it is malformed."""
     try:
-        return np.asarray(action)[None]
+        # a torch tensor stays one, for the stepper to refuse
+        return action if hasattr(action, "detach") else np.asarray(action)[None]  # type: ignore[return-value]
     except (TypeError, ValueError):
         return np.array([None], object)

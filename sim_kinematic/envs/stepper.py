@@ -133,6 +133,21 @@ class FlatStepper:
         return np.concatenate(rows, axis=1, dtype=space.dtype)
 
 
+def refuse_tensors(actions: Any, task: str, agent: str) -> None:
+    """Refuse torch tensors as actions of an agent, which are for worlds on a device.
+
+    Raises:
+        InputError: The actions are a tensor.
+    """
+    # by a method that only tensors have: torch need not be installed
+    if hasattr(actions, "detach"):
+        raise InputError(
+            f"The environment of {task} simulates with NumPy, and the action of {agent} is a torch tensor. Hint: "
+            "action.cpu().numpy(), or h3data.make(..., device=...) for worlds of tensors.",
+            code="H3-ENV-059",
+        )
+
+
 def checked_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return actions as a float64 array of a given shape.
 

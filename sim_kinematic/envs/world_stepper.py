@@ -22,7 +22,7 @@ from h3data.render.light.sources import LightMode
 from sim_kinematic.agents.robots.skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.agents.skills import CONTROL, Action, choices
-from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
+from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium, refuse_tensors
 from sim_kinematic.policies.assignment import assign, policy_names, resolve_policy, unknown_policy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.policy import External
@@ -30,6 +30,7 @@ from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
 from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names, split_sizes
+from sim_kinematic.sensing.table import sensors_of
 from sim_kinematic.tasks.control import command_of, resting_arm
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import DecisionLoop, WorldRollout
@@ -233,16 +234,12 @@ class WorldStepper:
         """
         number = self.numbers[agent]
         if not self.task.control.has_skills:
-            return gymnasium.spaces.Box(-1.0, 1.0, (self._width(number),), np.float32)
+            return gymnasium.spaces.Box(-1.0, 1.0, (self.play.world.widths[number],), np.float32)
         body = self.source.roster[number].body
         if self._is_low and isinstance(body, Robot):
             return gymnasium.spaces.Box(-1.0, 1.0, (len(body.require_arm()) + 3,), np.float32)
         known = choices(self._objects, robot=isinstance(body, Robot), parts=tuple(range(self.spec.parts)))
         return gymnasium.spaces.Discrete(len(known))
-
-    def _width(self, number: int) -> int:
-        is_robot = self.source.roster[number].kind == "robot"
-        return 3 if is_robot and self.play.world.bases[number].max_lateral_mps else 2
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
@@ -313,10 +310,12 @@ class WorldStepper:
         Agents with skills are simulated until one that acts must choose again, or to the end. Worlds whose episode is
         over return zeros, and actions count only for the agents that are `choosing`.
         """
+        for agent, action in actions.items():
+            refuse_tensors(action, self.task.name, agent)
         if self.task.control.has_skills:
             return self._step_turns(actions)
         given = {
-            self.numbers[agent]: checked_actions(action, (self.worlds, self._width(self.numbers[agent])))
+            self.numbers[agent]: checked_actions(action, (self.worlds, self.play.world.widths[self.numbers[agent]]))
             for agent, action in actions.items()
         }
         if not self.play.episodes:
@@ -406,7 +405,7 @@ class WorldStepper:
     def observe(self, agent: str) -> Arrays:
         """Return observations of an agent in all worlds, [W, ...] each."""
         number = self.numbers[agent]
-        own, sensors = self._sets[number], self.task.sensors(self._kind(number))
+        own, sensors = self._sets[number], self.task.sensors
         self._require_begun()
         first, *beside = (play.team for play in self.plays)
         exact = first.exact(number, own.states, sensors, beside=beside)
@@ -424,13 +423,14 @@ class WorldStepper:
         return [episode for play in self.plays for episode in play.episodes]
 
     def info(self, agent: str) -> Info:
-        """Return facts of the task about all worlds (`Task.info_of`), the same for every agent.
+        """Return success and the facts of the task about all worlds (`TaskUsage.env_info`), the same for every agent.
 
         For an agent with skills, the facts are its last skill, the objects, and the choices that are possible now.
         """
         play = self.play
         if not self.task.control.has_skills:
-            return self.task.info_of(play)
+            known = {"success": lambda play: play.outcome.success, **self.task.usage.env_info}
+            return {name: np.array(of(play)) for name, of in known.items()}
         number, told = self.numbers[agent], []
         for w, (turns, play) in enumerate(zip(self.turns, self.plays, strict=True)):
             facts = {"steps": turns.steps, "step": play.step, **play.team.info(number)}
@@ -490,7 +490,7 @@ class WorldStepper:
                 if not (lone and sensors[name].of_other)
             }
             for k in numbers
-            for sensors in (self.task.sensors(roster[k].kind),)
+            for sensors in (sensors_of(roster[k].kind, self.task.sensors),)
         ]
         pictures = [(*picture_names(roster[k].body), *roster[k].body.camera_names) for k in numbers]
         known = [(*own, *seen) for own, seen in zip(states, pictures, strict=True)]

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
+from h3data.recording.records import agent_numbers
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.errands import HandWork
 from sim_kinematic.crowd.roles import check_groups, read_role, routines
@@ -31,7 +32,7 @@ Episode = Any
 
 def _waypoints(task: Task, episode: Episode, number: int) -> Policy:
     # by their number among people: the first one walks the same way, whoever else is there
-    nth = number - sum(member.kind == "robot" for member in episode.roster)
+    nth = number - len(agent_numbers(episode.roster, "robot"))
     if nth > 0:
         return WaypointPolicy(episode.free, episode_seed(episode.seed, nth), episode.spec.human)
     # an episode of a file may say where the first one goes

@@ -2,7 +2,7 @@
 
 A row is a function of a `Context` over its array namespace. So the same row serves environments and policies on the CPU
 (``numpy``), files of weights, training, and worlds on a device (``torch``). A task adds a sensor of its own as one more
-row: `Task.sensors` returns ``{**SENSORS, "goal": Sensor(...)}``.
+row: `Task.sensors` is ``{**SENSORS, "goal": Sensor(...)}``.
 """
 
 from __future__ import annotations
@@ -244,6 +244,8 @@ class Sensor(NamedTuple):
     or door and drawer that agents may choose to open."""
     of_other: bool = False
     """True if the sensor measures something about another agent, so that an agent alone does not have it."""
+    kinds: tuple[str, ...] = ("robot", "human")
+    """Kinds of agents that have the sensor."""
 
     @property
     def width(self) -> int:
@@ -515,6 +517,6 @@ def sensed(name: str, sensor: Sensor, moment: Any, task: str, agent: str) -> Any
         ) from fault
 
 
-def sensors_of(kind: str) -> Mapping[str, Sensor]:
-    """Return the sensors of a kind of agent, by name; people have no arm joints to read."""
-    return SENSORS if kind == "robot" else {name: sensor for name, sensor in SENSORS.items() if name != "arm_joints"}
+def sensors_of(kind: str, sensors: Mapping[str, Sensor]) -> dict[str, Sensor]:
+    """Return those sensors that a kind of agent has, by name."""
+    return {name: sensor for name, sensor in sensors.items() if kind in sensor.kinds}

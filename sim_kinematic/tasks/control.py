@@ -24,7 +24,7 @@ from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.recording import Agent, Event, Recording
-from h3data.recording.records import JOINTS
+from h3data.recording.records import JOINTS, agent_numbers
 from h3data.scene.articulation import joints_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.contact.frames import root_pose
@@ -304,7 +304,7 @@ class VelocityControl(Control):
 
     def needed_columns(self, recording: Recording) -> list[str]:
         """Return the names of the columns with the velocities of robots, and with the skills that they report."""
-        robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
+        robots = agent_numbers(recording.agents, "robot")
         names = ("action", "skill") if self.skills.get("robot") else ("action",)
         return [f"agent_{k}.{name}" for k in robots for name in names]
 

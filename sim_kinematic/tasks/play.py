@@ -23,7 +23,7 @@ from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.rearrange_observations import limits
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.agent_pictures import picture_names
-from sim_kinematic.sensing.table import Sensor
+from sim_kinematic.sensing.table import Sensor, sensors_of
 from sim_kinematic.tasks.control import Columns, resting_arm
 from sim_kinematic.tasks.episode import Episode, StepOutcome
 from sim_kinematic.world import (
@@ -522,7 +522,7 @@ class AgentSensors(NamedTuple):
     @classmethod
     def of(cls, task: Any, member: AgentSpec, objects: int, parts: int = 0) -> AgentSensors:
         """Return the sensors and pictures of an agent, given the numbers of objects and of parts that open."""
-        sensors = task.sensors(member.kind)
+        sensors = sensors_of(member.kind, task.sensors)
         spaces = limits(sensors, objects=objects, arm=len(resting_arm(member.body)), parts=parts)
         exact = {name: (np.asarray(s.low, np.float64), np.asarray(s.high, np.float64)) for name, s in spaces.items()}
         return cls(member.name, {name: sensors[name] for name in exact}, exact, frozenset(picture_names(member.body)))

@@ -29,6 +29,7 @@ from h3data.recording import (
 )
 from h3data.recording import Episode as EpisodeRecord
 from h3data.recording.assets.scenes import categories_of, scene_attachment, scene_records
+from h3data.recording.records import agent_numbers
 from h3data.recording.scans import scan_column
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.agents.skills import CONTROL, Action
@@ -82,7 +83,7 @@ class RecordedSensors:
         Raises:
             InputError: there is no robot, or it has no sensor with one of the names.
         """
-        self._names, self._robots = tuple(names), [k for k, member in enumerate(roster) if member.kind == "robot"]
+        self._names, self._robots = tuple(names), agent_numbers(roster, "robot")
         if isinstance(names, str) or not self._robots or task.control.has_skills:
             raise InputError(
                 f"Expected a list of sensors, of robots in a task whose agents drive and walk, got {names!r} of "

@@ -16,7 +16,7 @@ import numpy as np
 from h3data.errors import H3DataError, InputError, UntrustedNameError
 from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
-from h3data.recording.records import JOINTS
+from h3data.recording.records import JOINTS, agent_numbers
 from h3data.replay.recorded_robots import check_recorded_robots
 from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, each_of, make_policy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
@@ -160,7 +160,9 @@ def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps
         keeps_people=keeps_people,
         since=step,
     )
-    robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in agent_numbers(recording, "robot"))]
+    robots = [
+        n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in agent_numbers(recording.agents, "robot"))
+    ]
     # people keep their recorded tracks, which are rounded, so measurements of them may differ in the last bits
     require_recorded(
         recording, step, played.columns, played.ended, robots if keeps_people and not task.control.has_skills else None
@@ -230,7 +232,7 @@ class Played:
 
     def _keep(self, task: Task, recording: Recording, rows: int) -> None:
         """Store the columns, skills and events of recorded people, as far as the task selects them."""
-        people = agent_numbers(recording, "human")
+        people = agent_numbers(recording.agents, "human")
         # in social_nav ``sim.`` are the goal and the leg of the person's script
         prefixes = ("sim.", *(f"agent_{k}." for k in people))
         kept = {
@@ -339,8 +341,3 @@ def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:
             numbers = [k for k, other in enumerate(episode.roster) if other.kind == kind]
             return each_of(new[key], len(numbers), kind)[numbers.index(number)]
     return None
-
-
-def agent_numbers(recording: Recording, kind: str) -> list[int]:
-    """Return the numbers of all agents of a kind."""
-    return [k for k, agent in enumerate(recording.agents) if agent.kind == kind]

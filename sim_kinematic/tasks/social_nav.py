@@ -101,6 +101,13 @@ class SocialNav(Task):
         env_rules=TRAINING,
         set_rules=lambda scenes: SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m),
         env_options={"reward": check_profile},
+        env_info={
+            "geodesic_m": lambda play: play.memory.geodesic,
+            "found": lambda play: play.memory.found,
+            "followed": lambda play: play.memory.rewards.followed,
+            "collides": lambda play: play.memory.collides,
+            "robot_contact": lambda play: play.world.state.robots[0].contact,
+        },
         named_kinds=("robot",),
     )
 
@@ -257,19 +264,6 @@ class SocialNav(Task):
         if state.collides[0]:
             events.append(Event(step=step, agent=ROBOT, kind="collision", target="human"))
         return [(0, event) for event in events]
-
-    def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
-        """Return the distance, success, steps followed and contacts of each world, each [W]."""
-        state: SocialNavState = play.memory
-        assert state.rewards is not None
-        return {
-            "geodesic_m": state.geodesic.copy(),
-            "found": state.found.copy(),
-            "success": state.success.copy(),
-            "followed": state.rewards.followed.copy(),
-            "collides": state.collides.copy(),
-            "robot_contact": play.world.state.robots[0].contact.copy(),
-        }
 
     def _look(self, play: WorldRollout, rows: NDArray[np.intp] | None = None) -> None:
         """Update distances and contact in the worlds ``rows`` [n] (default: all)."""

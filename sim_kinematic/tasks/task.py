@@ -18,6 +18,7 @@ from h3data.errors import H3DataError
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, common_floor, make_roster
 from sim_kinematic.policies.assignment import PolicyMaker
+from sim_kinematic.sensing.table import SENSORS, Sensor
 from sim_kinematic.tasks.codec import EpisodeCodec, TaskCodec
 from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
@@ -25,7 +26,6 @@ from sim_kinematic.tasks.play import WorldRollout
 
 if TYPE_CHECKING:
     from h3data.scene.scene_sets import SceneSet
-    from sim_kinematic.sensing.table import Sensor
 
 _MOVED = {
     **{
@@ -49,7 +49,8 @@ _MOVED = {
             (
                 "TaskUsage",
                 "usage",
-                "env_options set_rules bodies_in_agents crosses_partners can_be_solo check_env_options=env_options "
+                "env_options set_rules bodies_in_agents crosses_partners can_be_solo "
+                "check_env_options=env_options info_of=env_info "
                 "env_defaults=env_rules default_spec=dataset_rules recorded_default=named_kinds",
             ),
         )
@@ -82,6 +83,9 @@ class TaskUsage:
     env_options: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)
     """Further options of environments by name, which the task finds in ``WorldRollout.options``. The value is a
     function that raises an `InputError` for a value that is not allowed."""
+    env_info: Mapping[str, Callable[[WorldRollout], NDArray[Any]]] = field(default_factory=dict)
+    """Entries of an environment's ``info`` besides ``success``, for agents without skills: functions by name that
+    return an array [W]."""
     env_partners: Mapping[str, str] = field(default_factory=dict)
     """Policies of the agents that do not act in an environment, by kind, if they differ from `Task.defaults`."""
     named_kinds: tuple[str, ...] = ("robot", "human")
@@ -113,6 +117,8 @@ class Task:
     and recorded, and what agents report."""
     columns: ClassVar[Mapping[str, Any]] = {}
     """Type (dtype) of each column in `StepOutcome.columns`."""
+    sensors: ClassVar[Mapping[str, Sensor]] = SENSORS
+    """Sensors of the agents by name, except pictures; by default those of agents without skills."""
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Policies by kind of agent and name, in addition to those of every task
     (`sim_kinematic.policies.assignment.COMMON`)."""
@@ -126,6 +132,11 @@ class Task:
             # an old hook would never be called, and the task would play by the defaults
             if old in vars(cls):
                 raise H3DataError(f"The member {cls.__name__}.{old} of a task is {new} now.", code="H3-TASK-070")
+        if callable(vars(cls).get("sensors")):
+            raise H3DataError(
+                f"{cls.__name__}.sensors of a task is a mapping of sensors by name now, and no method.",
+                code="H3-TASK-093",
+            )
         # not hasattr: a subclass of a task with a name gets one of its own
         if "name" not in vars(cls):
             cls.name = "".join(f"_{c.lower()}" if c.isupper() else c for c in cls.__name__).lstrip("_")
@@ -186,16 +197,6 @@ class Task:
     def view(self, play: WorldRollout, agent: int, world: int) -> Any:
         """Return the observation of an agent's policy, by default an `AgentView`."""
         return play.agent_view(agent, world)
-
-    def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of a kind of agent by name, except pictures; by default those of agents without skills."""
-        from sim_kinematic.sensing.table import sensors_of
-
-        return sensors_of(kind)
-
-    def info_of(self, play: WorldRollout) -> dict[str, NDArray[Any]]:
-        """Return entries of an environment's ``info`` in addition to its reward, each [W]."""
-        return {"success": play.outcome.success.copy()}
 
     # --- what it is elsewhere -----------------------------------------------------------------------------------------
     @property

@@ -133,11 +133,17 @@ def test_a_faulty_task_is_named_with_the_field(task: PointGoal, says: str) -> No
         ("skills", r"Control\.skills, of Task\.control,"),
         ("default_spec", r"TaskUsage\.dataset_rules, of Task\.usage,"),
         ("end_reason", r"StepOutcome\.ended"),
+        ("info_of", r"TaskUsage\.env_info, of Task\.usage,"),
     ],
 )
 def test_members_of_earlier_tasks_are_refused_with_their_new_place(member: str, place: str) -> None:
     with pytest.raises(H3DataError, match="H3-TASK-070"):
         type("EarlierTask", (PointGoal,), {member: lambda *_: {}})
+
+
+def test_sensors_that_are_a_method_are_refused() -> None:
+    with pytest.raises(H3DataError, match="H3-TASK-093"):
+        type("EarlierTask", (PointGoal,), {"sensors": lambda *_: {}})
 
 
 @pytest.mark.parametrize(

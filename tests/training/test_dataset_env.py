@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from gymnasium.utils.env_checker import check_env
 
 import h3data
@@ -144,7 +145,7 @@ def test_gymnasium_accepts_it(exported: Path) -> None:
 @pytest.mark.parametrize(
     ("action", "code"),
     [([0.0], "H3-ENV-010"), ([0.0] * 3, "H3-ENV-010"), ([[0.0, 0.0]], "H3-ENV-010"), ([np.nan, 0], "H3-ENV-029"),
-     ([0, np.inf], "H3-ENV-029"), ("go", "H3-ENV-031"), (None, "H3-ENV-010")],
+     ([0, np.inf], "H3-ENV-029"), ("go", "H3-ENV-031"), (None, "H3-ENV-010"), (torch.zeros(2), "H3-ENV-059")],
 )  # fmt: skip
 def test_malformed_actions_move_nothing(exported: Path, action: Any, code: str) -> None:
     env = DatasetEnv(exported, episodes="recorded", cameras=[])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -17,6 +18,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("shapely")
 pytest.importorskip("fcl")
 
+import h3data  # noqa: E402
+from benchmarks import device_scores  # noqa: E402
 from h3data.errors import FormatError, InputError  # noqa: E402
 from h3data_training.populations import run as run_module  # noqa: E402
 from h3data_training.populations import worlds as populations  # noqa: E402
@@ -403,3 +406,26 @@ def test_device_and_full_rules_judge_alike(monkeypatch: pytest.MonkeyPatch) -> N
     (success, steps), (full_success, full_steps) = (np.mean(rows, 0) for rows in (device, full))
     assert abs(success - full_success) <= 0.1
     assert 0.7 * full_steps <= steps <= full_steps
+
+
+@pytest.mark.slow
+def test_a_device_and_an_evaluation_score_alike(tmp_path: Path) -> None:
+    """With oracle skills, in fresh episodes; `python -m benchmarks device_scores` has 150 of them (docs/gpu.md)."""
+    robot, partner = device_scores.PAIRS[0]
+    found, count = list(device_scores.fresh_episodes(12)), 12
+    h3data.evaluate(
+        "rearrange",
+        tmp_path / "table",
+        policies=[robot],
+        partners=[partner],
+        skills=["oracle"],
+        scenes=device_scores.SCENES,
+        seed=device_scores.SEED,
+        episodes=count,
+    )
+    rows = [json.loads(file.read_text())["rows"][0] for file in sorted((tmp_path / "table").glob("episodes/*.json"))]
+    judged = [row["ended"] == "success" for row in rows]
+    assert judged == device_scores.cpu_successes(found, robot, partner).tolist()
+    there = device_scores.device_successes(RearrangeBank.of(found), robot, partner, "cpu", rounds=2)
+    assert there.shape == (2, count)
+    assert abs(there.mean() - np.mean(judged)) <= 0.15  # measured: 0.95 and 0.93 of 150

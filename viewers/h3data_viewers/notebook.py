@@ -18,9 +18,8 @@ from h3data.progress import progress
 from h3data.recording import Episodes, Recording
 from h3data.replay import CameraTrack, Replay, camera_at, camera_track
 from h3data.replay.third_person import third_person_at
-from h3data_viewers.html_report.pictures import jpeg_data_uri
 from h3data_viewers.rerun.cameras import scaled
-from h3data_viewers.templates import render
+from h3data_viewers.templates import jpeg_data_uri, render
 
 if TYPE_CHECKING:
     from h3data.metrics import EpisodeMetrics, MetricsTable

@@ -1,4 +1,7 @@
-"""Templates of HTML pages (Jinja2), which lie next to the modules of this package; all values are escaped."""
+"""Templates of HTML pages (Jinja2), which lie next to the modules of this package, and pictures in pages.
+
+All values are escaped.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,9 @@ import base64
 import hashlib
 from functools import cache
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -49,3 +55,11 @@ def environment() -> Environment:
 def _sha256(text: str) -> str:
     """Return the digest of an inline script or style by which a Content-Security-Policy allows it."""
     return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def jpeg_data_uri(image: NDArray[np.uint8], *, quality: int = 80) -> str:
+    """Return an image, RGB uint8 [H, W, 3], as a JPEG in a ``data:`` URI for HTML pages."""
+    import cv2
+
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"

@@ -18,7 +18,7 @@ from h3data.metrics.metric import INF, NAN, Metric, Series
 from h3data.metrics.paper.protocol import REARRANGEMENT_PROTOCOL, protocol_deviations
 from h3data.metrics.profile import Computed
 from h3data.metrics.requirements import OR, note_missing
-from h3data.recording.records import Recording
+from h3data.recording.records import Recording, agent_numbers
 
 AT_GOAL, SUCCESS = "metrics.at_goal", "metrics.success"
 _DONE = f"{SUCCESS}{OR}{AT_GOAL}"
@@ -144,7 +144,7 @@ def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
         MissingColumnsError: the recording has none of the columns.
     """
     # a person alone cannot touch a robot: CR is 0 without a column of contacts
-    alone = bool(recording.agents) and all(agent.kind != "robot" for agent in recording.agents)
+    alone = bool(recording.agents) and not agent_numbers(recording.agents, "robot")
     missing = note_missing([m for m in REARRANGEMENT if not (alone and m.name == "CR")], recording, notes)
     deviations = protocol_deviations(recording, REARRANGEMENT_PROTOCOL)
     if not len(recording):
@@ -205,7 +205,7 @@ def _robot_share(recording: Recording, notes: Notes) -> float:
             f"names {len(objects)}.",
             code="H3-METRIC-015",
         )
-    if all(agent.kind != "robot" for agent in recording.agents):
+    if not agent_numbers(recording.agents, "robot"):
         notes.add(("RC",), "there is no robot")
         return NAN
     credits = [

@@ -13,6 +13,7 @@ import numpy as np
 from h3data.bodies.names import split_walk
 from h3data.errors import InputError
 from h3data.recording import Recording
+from h3data.recording.records import agent_numbers
 from h3data.recording.task_episodes import social_nav_episodes, stored_rearrangements
 from h3data.recording.task_episodes.social_nav_episodes import SocialNavEpisode
 from h3data.recording.task_episodes.stored_episodes import plain
@@ -34,8 +35,8 @@ def social_nav_of(recording: Recording) -> SocialNavEpisode:
         raise InputError(
             f"Expected a recording of social_nav, {name!r} is one of {recording.episode.task!r}.", code="H3-HABITAT-039"
         )
-    robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
-    humans = [k for k, agent in enumerate(recording.agents) if agent.kind == "human"]
+    robots = agent_numbers(recording.agents, "robot")
+    humans = agent_numbers(recording.agents, "human")
     if len(robots) != 1 or len(humans) != 1 or not len(recording):
         raise InputError(
             f"Expected one robot, one human and some steps, {name!r} has {len(robots)}, {len(humans)}, {len(recording)}.",

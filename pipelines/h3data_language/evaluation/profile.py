@@ -24,7 +24,7 @@ from h3data.metrics.metric import INF, Metric, Series
 from h3data.metrics.profile import Computed, Profile
 from h3data.metrics.report_layout import ReportLayout
 from h3data.metrics.requirements import UnmeasurableError, note_missing
-from h3data.recording.records import Event, Recording
+from h3data.recording.records import Event, Recording, agent_numbers
 from h3data_language.evaluation.engine import STATE_COLUMNS, Verdict, evaluate, rows_of
 from h3data_language.evaluation.layout import LAYOUT, Layout
 from h3data_language.evaluation.records import PROPOSITIONS, Evaluation
@@ -206,7 +206,7 @@ def compute_partnr(recording: Recording, notes: Notes, *, metrics: tuple[Metric,
     complete = percent_complete(found.satisfied_at, found.admitted)
     productive = {(e.step, e.agent) for e in found.events}
     idle = sum(e.kind == "place" and (e.step, e.agent) not in productive for e in recording.events)
-    robots = {i for i, agent in enumerate(recording.agents) if agent.kind == "robot"}
+    robots = set(agent_numbers(recording.agents, "robot"))
     values = {"PC": complete, "state_success": float(complete == 1), "steps": float(len(recording))}
     picks = [e.step for e in recording.events if e.kind == "pick"]
     if picks:

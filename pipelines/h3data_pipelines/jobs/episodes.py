@@ -14,6 +14,7 @@ import msgspec
 
 from h3data.errors import InputError
 from h3data.recording import Recording
+from h3data.recording.records import agent_numbers
 from h3data.scene.scene_sets import SceneSet
 from h3data.scene.sources import SceneFile, SceneSource
 
@@ -123,7 +124,7 @@ class Job:
 
     def _cast(self, episode: Episode) -> Episode:
         """Return the episode, without its robots if the policy is `SOLO`."""
-        people = (k for k, member in enumerate(episode.roster) if member.kind == "human")
+        people = agent_numbers(episode.roster, "human")
         return episode.only(*people) if self.policy == SOLO else episode
 
     def record(self, *, max_steps: int | None = None) -> Recording:

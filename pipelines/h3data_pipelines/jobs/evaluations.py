@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from h3data.errors import InputError, JobStopError
+from h3data.recording.records import agent_numbers
 from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import reason_of
 
@@ -162,7 +163,7 @@ def plan_of(task: Any, episode: Any, partner: str | None) -> str:
         return ""
     from sim_kinematic.policies.assignment import make_policy
 
-    people = [k for k, member in enumerate(episode.roster) if member.kind == "human"]
+    people = agent_numbers(episode.roster, "human")
     assigned = make_policy(task, episode, people[0], partner) if len(people) == 1 else None
     return assigned.plan if assigned is not None and assigned.plan else partner
 

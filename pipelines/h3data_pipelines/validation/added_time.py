@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 from h3data.errors import InputError
 from h3data.recording import Recording
+from h3data.recording.records import agent_numbers
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.recorder import run
-from sim_kinematic.tasks.resume import agent_numbers, assigned_policies, restored_episode
+from sim_kinematic.tasks.resume import assigned_policies, restored_episode
 from sim_kinematic.tasks.wander import Wander
 
 
@@ -36,7 +37,7 @@ def added_time(recording: Recording) -> list[AddedTime]:
             crowd, or there is no robot.
     """
     task, episode = restored_episode(recording)
-    robots, people = agent_numbers(recording, "robot"), agent_numbers(recording, "human")
+    robots, people = agent_numbers(recording.agents, "robot"), agent_numbers(recording.agents, "human")
     policies = assigned_policies(task, episode, recording, {}, strict=False, recorded=robots)
     alone = [policies[k] for k in people]
     if not robots or not alone or not all(isinstance(one.policy, CrowdPolicy) for one in alone):

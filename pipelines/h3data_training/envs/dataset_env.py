@@ -25,7 +25,7 @@ from h3data.recording.demonstrations import Demonstrations, read_demonstrations
 from h3data.render.light.sources import LightMode, check_light
 from sim_kinematic.contact.frames import body_frames
 from sim_kinematic.envs.single import checked_render_mode, run_seed
-from sim_kinematic.envs.stepper import checked_actions, gymnasium
+from sim_kinematic.envs.stepper import checked_actions, gymnasium, refuse_tensors
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.policies.assignment import assign
 from sim_kinematic.policies.policy import External, Velocity
@@ -215,8 +215,9 @@ class DatasetEnv(gymnasium.Env[Any, Any]):
         """Apply an action for 1/30 s.
 
         Raises:
-            InputError: the action has the wrong shape or is not finite, or no episode is running.
+            InputError: the action is a torch tensor, has the wrong shape or is not finite, or no episode is running.
         """
+        refuse_tensors(action, self.task, self.demonstrations.agent)
         checked = checked_actions(action, self.action_space.shape or ())
         if self._loop is None or self._loop.over or self.play is None or self.play.over:
             raise InputError("No episode is going on. Hint: call reset() first.", code="H3-ENV-027")

@@ -16,6 +16,7 @@ from h3data_training.torch.rearrange.state import FREE, Play
 from h3data_training.torch.rearrange.worlds import RearrangeTensors
 from sim_kinematic.policies.rearrange import PARTNERS
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, limits
+from sim_kinematic.sensing.table import sensors_of
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.sources import Scenes, in_words
 
@@ -106,7 +107,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
         super().__init__(num_envs, device, graph=graph, compile=compile)
         self._partner, usual = partner, self.task.usage.device_rules
         rules = spec or (usual if type(usual) is self.task.Spec else with_oracle_skills(self.task.Spec()))
-        self._sensors = {agent: self.task.sensors(agent) for agent in self.agents}
+        self._sensors = {agent: sensors_of(agent, self.task.sensors) for agent in self.agents}
         known = [name for agent in self.agents for name in observed_of(self._sensors[agent], rules.parts)]
         chosen = (observations,) if isinstance(observations, str) else tuple(observations)
         self._names = checked_observations(chosen, tuple(dict.fromkeys(known)))
@@ -145,7 +146,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             Observations, rewards [W], terminated [W], truncated [W], and info.
 
         Raises:
-            InputError: the actions have the wrong shape or are not integers, or no episode has started.
+            InputError: the actions are no tensors, have the wrong shape or are not integers, or no episode has started.
         """
         self._require_begun()
         given = actions if isinstance(actions, Mapping) else {self.agents[0]: actions}
@@ -156,7 +157,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
             )
         with torch.no_grad():
             for agent, chosen in given.items():
-                numbers = torch.as_tensor(chosen)
+                numbers = self._tensor(chosen, agent)
                 if numbers.shape != (self.num_envs,) or numbers.dtype.is_floating_point:
                     raise InputError(
                         f"Expected whole numbers of shape {[self.num_envs]}, got {numbers.dtype} {list(numbers.shape)}.",

@@ -17,7 +17,7 @@ from h3data_training.envs.torch_env import Tensors, TorchEnv
 from h3data_training.torch.task_worlds import Play, TaskTensors
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.sensing.sensor import DETECTED_PIXELS, HUMAN_ID, scaled_depth
-from sim_kinematic.sensing.table import STATE_OBSERVATIONS, Sensor
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS, Sensor, sensors_of
 from sim_kinematic.tasks.sources import Scenes, in_words
 from sim_kinematic.tasks.task import Task
 
@@ -152,7 +152,7 @@ class TaskTorchEnv(TorchEnv[Play]):
     @staticmethod
     def _sensors(task: Task) -> Mapping[str, Sensor]:
         """Return sensors of the robot that are not pictures, by name."""
-        return task.sensors("robot")
+        return sensors_of("robot", task.sensors)
 
     def _make_worlds(self, **options: Any) -> TaskTensors:
         worlds = TaskTensors(self.bank, task=self.task, **options)
@@ -171,10 +171,10 @@ class TaskTorchEnv(TorchEnv[Play]):
             Observations, rewards [W], terminated [W], truncated [W], and info.
 
         Raises:
-            InputError: the actions have the wrong shape, or no episode has started.
+            InputError: the actions are no tensor, have the wrong shape, or no episode has started.
         """
         self._require_begun()
-        given = torch.as_tensor(actions)
+        given = self._tensor(actions, "robot")
         if given.shape != self._action.shape:
             raise InputError(
                 f"Expected actions of shape {list(self._action.shape)}, got {list(given.shape)}.", code="H3-ENV-010"

@@ -130,6 +130,20 @@ class TorchEnv(Generic[P]):
         if not self._begun:
             raise InputError("No episode has begun. Hint: call reset() first.", code="H3-ENV-016")
 
+    def _tensor(self, actions: Any, agent: str) -> Tensor:
+        """Return the actions of an agent, which must be a tensor: an array would be copied to the device unnoticed.
+
+        Raises:
+            InputError: they are no tensor.
+        """
+        if not isinstance(actions, Tensor):
+            raise InputError(
+                f"The environment of {self.name} on {self.device} takes torch tensors, and the action of {agent} is "
+                f"{type(actions).__name__}. Hint: torch.as_tensor(actions, device=env.device).",
+                code="H3-ENV-058",
+            )
+        return actions
+
     def _stepped(self) -> tuple[Any, Tensor, Tensor, Tensor, Tensors]:
         """Return all worlds a step further, by the actions that are set."""
         with enough_memory(self.device, self.num_envs, self.name):

@@ -401,7 +401,7 @@ class TaskTensors:
 
     def observations(self, names: Sequence[str], play: Play) -> dict[str, Tensor]:
         """Return the sensors of the robot by name, float32 [W, n] each."""
-        sensors, moment = self.task.sensors("robot"), self.context(play)
+        sensors, moment = self.task.sensors, self.context(play)
         return {name: sensed(name, sensors[name], moment, self.task.name, "robot").float() for name in names}
 
     # --- whether the task is for arrays of any namespace --------------------------------------------------------------
@@ -432,7 +432,7 @@ class TaskTensors:
                 raise TypeError(f"begin and judge must remember the same; {', '.join(sorted(strange))} differ")
         for name in names:
             with in_words(f"{who}: the sensor {name} of robot"):
-                sensor = self.task.sensors("robot")[name]
+                sensor = self.task.sensors[name]
                 require_tensors({"it": sensed(name, sensor, sim.context(play), who, "robot")}, worlds)
 
 

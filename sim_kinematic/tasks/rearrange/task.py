@@ -72,6 +72,8 @@ class Rearrange(Task):
     )
     control: ClassVar[Control] = SkillControl()
     columns: ClassVar[Mapping[str, Any]] = {"metrics.at_goal": np.bool_}
+    # those of parts are of width 0 where the rules have no parts, and left out there
+    sensors: ClassVar[Mapping[str, Sensor]] = {n: s for n, s in TABLE.items() if n in SENSES or s.times == "parts"}
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "robot": {**ROBOT_POLICIES, **SHIPPED_HELPERS},
         "human": dict.fromkeys((*PARTNERS, *SHIPPED_PARTNERS), partner_policy),
@@ -144,10 +146,6 @@ class Rearrange(Task):
             events=play.events_where(done, "success") if success else [],
         )
 
-    def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        """Return the sensors of objects and skills (`sim_kinematic.sensing.table.SENSES`), and of parts that open."""
-        return SENSES if not self.Spec.parts else {n: s for n, s in TABLE.items() if n in SENSES or s.times == "parts"}
-
     @property
     def codec(self) -> RearrangeCodec:
         """Codec of episodes with objects and goals, in our files and Habitat's."""
@@ -167,16 +165,15 @@ class Rearrange(Task):
 def _made_policy(name: str, episode: Episode, number: int) -> AssignedPolicy:
     assert isinstance(episode, RearrangeEpisode)
     kinds, objects = kinds_of(episode.roster), len(episode.targets)
-    kind = kinds[number]
-    nth = number - (0 if kind == "robot" else kinds.count("robot"))
+    kind, is_robot = kinds[number], kinds[number] == "robot"
+    nth = kinds[:number].count(kind)
     # the first of each kind draws by the episode's own seed, as where it plays in a pair
     seed = episode.seed if not nth else episode_seed(episode.seed, nth)
-    # a name that is in both tables means the one of the agent's own kind
-    plans = name in PARTNERS if kind == "robot" else name not in ROBOT_POLICIES or name in PARTNERS
     if is_learned(name):
-        policy = learned_chooser(name, Rearrange.name, objects, robot=kind == "robot")
-        plan = "" if kind == "robot" else stamped(name)
-    elif plans and not (kind == "robot" and name in ROBOT_POLICIES):
+        policy = learned_chooser(name, Rearrange.name, objects, robot=is_robot)
+        plan = "" if is_robot else stamped(name)
+    # a name that is in both tables means the one of the agent's own kind
+    elif name not in ROBOT_POLICIES or (name in PARTNERS and not is_robot):
         policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
     else:
         policy, plan = robot_policy(name), ""
@@ -186,7 +183,7 @@ def _made_policy(name: str, episode: Episode, number: int) -> AssignedPolicy:
     # it draws skills by their probabilities: the likeliest every time got stuck in loops
     if isinstance(policy, RecurrentSkillPolicy):
         policy.seed = seed
-        if kind == "robot":
+        if is_robot:
             with naming(name):
                 policy.require_body(episode.roster[number].model)
     return AssignedPolicy(policy, stamped(name), kind, plan)

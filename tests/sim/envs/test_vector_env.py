@@ -156,3 +156,19 @@ def test_flat_and_skilled_worlds_have_the_modes_too() -> None:
         shown, *_, info = flat.step(np.zeros((2, 2)))
     assert info["final_obs"][0].shape == shown[0].shape
     assert not np.array_equal(info["final_obs"][0], shown[0])
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"num_envs": W}, {"agents": ("robot", "human")}, {"num_envs": W, "flatten": True}]
+)
+@pytest.mark.parametrize("task", ["social_nav", "rearrange"])
+def test_tensors_are_refused_and_move_nothing(task: str, options: dict[str, Any]) -> None:
+    torch = pytest.importorskip("torch")
+    env = h3data.make(task, HOME, **options)
+    env.reset(seed=0)
+    before = [array.copy() for array in env.stepper.play.world.state.arrays()]
+    action = torch.zeros(() if options.get("num_envs") is None else W)
+    given = dict.fromkeys(options["agents"], action) if "agents" in options else action
+    with pytest.raises(InputError, match=rf"(?s){task}.*robot.*H3-ENV-059"):
+        env.step(given)
+    assert all(map(np.array_equal, before, env.stepper.play.world.state.arrays()))

@@ -13,7 +13,7 @@ from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
 from sim_kinematic.agents.skills import Action
 from sim_kinematic.policies.policy import PoseAction, Velocity, WaypointAction
-from sim_kinematic.sensing.table import Sensor
+from sim_kinematic.sensing.table import SENSORS, Sensor
 from sim_kinematic.tasks.control import Control, MotionTeam, VelocityControl
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.task import Rearrange
@@ -115,9 +115,10 @@ class Crooked(Wander):
 
     name: ClassVar[str] = "crooked"
 
-    def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        own = dict(super().sensors(kind))
-        return own | {"egomotion": own["egomotion"]._replace(of=lambda moment: np.zeros((7, 2)))}
+    sensors: ClassVar[Mapping[str, Sensor]] = {
+        **SENSORS,
+        "egomotion": SENSORS["egomotion"]._replace(of=lambda moment: np.zeros((7, 2))),
+    }
 
 
 def test_a_sensor_of_other_rows_than_worlds_is_named_with_task_and_agent(home: Scene, free: FreeSpace) -> None:

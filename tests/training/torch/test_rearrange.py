@@ -380,6 +380,8 @@ def test_bad_actions(bank: RearrangeBank) -> None:
             env.step(bad)
     with pytest.raises(InputError, match=r"(?s)human.*H3-ENV-005"):
         env.step({"human": torch.zeros(5).long()})
+    with pytest.raises(InputError, match=r"(?s)rearrange.*robot.*ndarray.*H3-ENV-058"):
+        env.step(np.zeros(5, np.int64))
     env.step(torch.tensor([99, -7, 12, 0, 8]))  # refused they would have to wait for the device
     assert env.info()["last"].tolist() == [12, 8, 12, 0, 8]
 

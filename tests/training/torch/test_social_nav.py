@@ -363,6 +363,9 @@ def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank) -> None:
     env.reset(seed=1)
     with pytest.raises(InputError, match=r"(?s)\[2, 2\].*H3-ENV-010"):
         env.step(torch.zeros(3, 2))
+    for bad in (np.zeros((2, 2)), [[0.0, 0.0]] * 2):
+        with pytest.raises(InputError, match=r"(?s)social_nav.*robot.*H3-ENV-058"):
+            env.step(bad)
     with pytest.raises(InputError, match="H3-ENV-001"):
         h3data.make("social_nav", device="cpu", agents=("robot", "human"))
 

@@ -206,8 +206,7 @@ class Skilled(PointGoal):
 class WantsObjects(PointGoal):
     """Shows where objects are, in worlds without."""
 
-    def sensors(self, kind: str) -> Mapping[str, Sensor]:
-        return {**super().sensors(kind), "obj_gps_compass": TABLE["obj_gps_compass"]}
+    sensors: ClassVar[Mapping[str, Sensor]] = {**PointGoal.sensors, "obj_gps_compass": TABLE["obj_gps_compass"]}
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from h3data.recording.records import agent_numbers
 from h3data_play.app import Hud
 from h3data_play.apps.rearrange import RearrangeApp
 from h3data_play.drivers import Driver
@@ -41,7 +42,7 @@ class TeleopApp(RearrangeApp):
         """Return the lines of rearrangement, the state of the hand, and the counts of contacts."""
         hud = super().hud(number)
         counts = f"Bumps into the home: {self.bumps}."
-        if any(member.kind == "human" for member in self.session.episode.roster):
+        if agent_numbers(self.session.episode.roster, "human"):
             counts += f" Touches of people: {self.touches}."
         return Hud(task=hud.task, left_s=hud.left_s, lines=(*hud.lines, self._hand(number), counts))
 

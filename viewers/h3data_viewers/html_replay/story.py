@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from h3data.recording import Recording
 from h3data.recording.log_lines import SAY, speech
+from h3data.recording.records import agent_numbers
 from h3data.recording.scans import HEIGHT_M, scans_of
 from h3data_viewers.html_replay.packing import Payload
 from h3data_viewers.rerun.floor_marks import object_goals, walking_goals
@@ -181,7 +182,7 @@ def _touches(recording: Recording) -> list[int]:
 def _contacts(recording: Recording, rows: NDArray[np.integer]) -> list[dict[str, Any]]:
     """Return the places where contacts begin: half-way between robot and the person whom it touches."""
     pair = agent_pair(recording)
-    people = [number for number, agent in enumerate(recording.agents) if agent.kind == "human"]
+    people = agent_numbers(recording.agents, "human")
     whom = recording.columns.get("metrics.collision_people")
     marks = []
     for row in _touches(recording) if pair is not None else ():

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.metrics import EpisodeMetrics
+from h3data.recording.records import agent_numbers
 from h3data.recording.storage import AnyPath
 
 GRID_S = 0.5
@@ -62,7 +63,7 @@ class ReportEpisode:
     @property
     def people(self) -> int:
         """Number of people in the episode."""
-        return sum(track.kind == "human" for track in self.tracks)
+        return len(agent_numbers(self.tracks, "human"))
 
     @property
     def nearest_at(self) -> NDArray[np.float32]:

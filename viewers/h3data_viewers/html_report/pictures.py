@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import os
 import re
 import shlex
@@ -28,6 +27,7 @@ from h3data_viewers.html_report.data import Run, read_whole
 from h3data_viewers.html_report.episode import GRID_S, ReportEpisode, Track
 from h3data_viewers.html_report.svg import Svg, linear
 from h3data_viewers.html_report.tables import counted
+from h3data_viewers.templates import jpeg_data_uri
 
 if TYPE_CHECKING:
     from h3data.replay import Replay
@@ -420,11 +420,3 @@ def _sparkline(episode: ReportEpisode, css: str) -> Svg | None:
     svg.line(28, height - 2, width - 4, height - 2, "axis")
     svg.text(width - 4, height + 12, f"{episode.seconds(episode.metrics.rows - 1):.0f} s", "tick", anchor="end")
     return svg
-
-
-def jpeg_data_uri(image: NDArray[np.uint8], *, quality: int = 80) -> str:
-    """Return an image, RGB uint8 [H, W, 3], as a JPEG in a ``data:`` URI for HTML pages."""
-    import cv2
-
-    _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from h3data.recording.records import Recording
+from h3data.recording.records import Recording, agent_numbers
 from h3data.recording.scans import clouds_of, scans_of
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import choose_method
@@ -123,7 +123,7 @@ def walking_goals(recording: Recording) -> list[tuple[int, NDArray[np.int64], ND
     """Return the first person's index, the rows [N] in which their walking goal changes, and these goals [N, 3] [m]."""
     goals = _points(recording.episode.info.get("human_goals"), 2, "human_goals")
     column = recording.columns.get("sim.human_goal")
-    people = [i for i, a in enumerate(recording.agents) if a.kind == "human"]
+    people = agent_numbers(recording.agents, "human")
     if not len(goals) or column is None or column.ndim != 1 or not len(column) or not people:
         return []
     index = np.clip(column.astype(np.int64), 0, len(goals) - 1)
