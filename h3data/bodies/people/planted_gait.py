@@ -6,6 +6,7 @@ the motion, recordings of people store only their roots.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -159,60 +160,61 @@ class PlantedWalk:
     def __init__(self, tables: GaitTables, base: ArrayLike) -> None:
         """Create a standing walk at ``base`` [7], the pose of the agent root."""
         self.tables = tables
-        self.state: Array = np.zeros(self._kernels.STATE_COLUMNS)
+        self.state: Array = np.zeros(self._kernels().STATE_COLUMNS)
         """Current state, as a row of `planted_states` [K]; copy it to store a moment."""
         self.stand(base)
 
-    @property
-    def _kernels(self) -> Any:
+    @staticmethod
+    @cache
+    def _kernels() -> Any:
         from h3data.bodies.people.kernels import planted
 
         return planted
 
     def stand(self, base: ArrayLike) -> None:
         """Place both feet as in standing under a root [7]."""
-        _CALL(self._kernels.stand_one, self.tables, self.state, *_place(base))
+        _CALL(self._kernels().stand_one, self.tables, self.state, *_place(base))
 
     @property
     def stands(self) -> bool:
         """Return whether the feet are at rest in the standing position."""
-        return bool(_CALL(self._kernels.one_stands, self.tables, self.state))
+        return bool(_CALL(self._kernels().one_stands, self.tables, self.state))
 
     @property
     def head_turn(self) -> float:
         """Angle by which the head has turned to the left in the last step [rad]."""
-        return float(self.state[self._kernels.LOOK_RATE]) * STEP_S
+        return float(self.state[self._kernels().LOOK_RATE]) * STEP_S
 
     @property
     def speed_mps(self) -> float:
         """Speed of the gait [m/s], which follows the speed of the root with at most 9 m/s^2."""
-        return abs(float(self.state[self._kernels.SPEED]))
+        return abs(float(self.state[self._kernels().SPEED]))
 
     def is_at(self, base: ArrayLike) -> bool:
         """Return whether the root [7] is the root after the last step."""
         x, z, heading = _place(base)
-        turned = np.abs((self.state[self._kernels.HEADING] - heading + np.pi) % (2 * np.pi) - np.pi)
+        turned = np.abs((self.state[self._kernels().HEADING] - heading + np.pi) % (2 * np.pi) - np.pi)
         return bool(
-            abs(self.state[self._kernels.X] - x) < 1e-6
-            and abs(self.state[self._kernels.Z] - z) < 1e-6
+            abs(self.state[self._kernels().X] - x) < 1e-6
+            and abs(self.state[self._kernels().Z] - z) < 1e-6
             and turned < 1e-6
         )
 
     def step(self, base: ArrayLike) -> None:
         """Advance by 1/30 s, in which the root moves to ``base`` [7]."""
-        _CALL(self._kernels.step_one, self.tables, self.state, *_place(base), STEP_S)
+        _CALL(self._kernels().step_one, self.tables, self.state, *_place(base), STEP_S)
 
     def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
         """Advance by 1/30 s to a root [7] whose heading [rad] is known, and return the `pose` there."""
         quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
         x, _, z, *_ = np.asarray(base, np.float64).tolist()
-        _CALL(self._kernels.stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
+        _CALL(self._kernels().stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
     def pose(self) -> tuple[Array, Array]:
         """Return the local rotations [55, 4] and the position of the pelvis [3] [m] in the agent root frame."""
         quats, pelvis = np.empty((1, JOINT_COUNT, 4)), np.empty((1, 3))
-        _CALL(self._kernels.pose_gaits, self.tables, self.state[None], quats, pelvis)
+        _CALL(self._kernels().pose_gaits, self.tables, self.state[None], quats, pelvis)
         return quats[0], pelvis[0]
 
     def plant(self, quats: Array, pelvis: Array) -> None:
@@ -223,7 +225,7 @@ class PlantedWalk:
         """
         # any other arrays of the caller by numba itself, which looks at their types
         plain = all(part.flags.carray and part.dtype == np.float64 for part in (quats, pelvis))
-        plant = self._kernels.plant_legs
+        plant = self._kernels().plant_legs
         _CALL(plant, self.tables, self.state, quats, pelvis) if plain else plant(self.tables, self.state, quats, pelvis)
 
 

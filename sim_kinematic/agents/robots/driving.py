@@ -93,6 +93,8 @@ class RobotDriver:
         """Command to which the robot speeds up."""
         self._commands: list[tuple[float, float]] = []
         """Rest of a maneuver by which it steps aside."""
+        self._posed: tuple[Any, Array] = None, IDENTITY_POSE
+        """Floor, place and heading of the last `pose`, and the pose."""
         self._numbers: tuple[BaseSpec | None, tuple[Any, ...]] = None, ()
         """A base, and its numbers for the kernel of a step."""
         self._start: NDArray | None = None
@@ -166,8 +168,11 @@ class RobotDriver:
 
     @property
     def pose(self) -> Array:
-        """Pose (pose7) of the agent root in the world."""
-        return root_pose(self.robot, self.xz, self.heading, self.free)
+        """Pose (pose7) of the agent root in the world; the same array as long as the robot stands still."""
+        now = self.free, *self.xz.tolist(), self.heading
+        if self._posed[0] != now:
+            self._posed = now, root_pose(self.robot, self.xz, self.heading, self.free)
+        return self._posed[1]
 
     @property
     def hand_pose(self) -> Array:

@@ -71,7 +71,7 @@ def face_to_face(free: FreeSpace, *, asks: bool = True) -> tuple[list[Figure], R
 
     def errand(number: int) -> TaskProgress:
         me = figures[number]
-        return TaskProgress(me.obeys, number, lambda: me.left_m, me.completed, me.obeys)
+        return TaskProgress(me.obeys, number, lambda: lambda left=me.left_m: left, me.completed, me.obeys)
 
     return figures, RightOfWay(free, figures, errand, asks=asks)
 
