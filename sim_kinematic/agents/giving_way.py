@@ -68,9 +68,9 @@ class GivingWay:
         self.neighbours = Neighbours.of(actors)
         """All agents as they were after their last turns, which the others observe."""
         self._people_see_robot, self._person_radius_m = people_see_robot, person_radius_m
-        pairs = [[(b, (min(a, b), max(a, b))) for b in range(len(actors))] for a in range(len(actors))]
         self._avoided = [
-            [one for one in row if self.avoids(me, actors[one[0]])] for me, row in zip(actors, pairs, strict=True)
+            [(b.number, (min(a.number, b.number), max(a.number, b.number))) for b in actors if self.avoids(a, b)]
+            for a in actors
         ]
         """Agents that each one avoids, each with the pair of both numbers."""
         heeded = np.array([[self.avoids(me, other) for other in actors] for me in actors])
@@ -96,8 +96,6 @@ class GivingWay:
             people = {k: clip_reach(body) for k, body in enumerate(self.bodies) if not isinstance(body, Robot)}
             self._reach_m = [min(people.get(k, reach), reach) for k, reach in enumerate(self._reach_m)]
         self._reaches = np.array(self._reach_m)
-        self._posed: dict[int, tuple[float, float, float, Any]] = {}
-        """Place, heading and posture to which the shapes of agents were last moved."""
         self._asked: dict[tuple[int, int], tuple[tuple[Any, ...], bool]] = {}
         """Postures and roots of two agents when it was last asked whether they touch, and the answer."""
         self._postures: list[Any] = [None] * len(actors)
@@ -137,7 +135,7 @@ class GivingWay:
     def begin_step(self, carrying: Sequence[int] = ()) -> None:
         """Decide which agents step aside in the next step; ``carrying`` are the numbers of those with an object."""
         if self.right_of_way is not None:
-            self.right_of_way.update(carrying, self.neighbours.agents)
+            self.right_of_way.update(self.neighbours.agents, carrying)
 
     def around(self, number: int) -> Neighbours:
         """Return all agents as others observe them, and which of them an agent gives way to."""
@@ -158,13 +156,14 @@ class GivingWay:
 
     def meets(self, me: AnyActor) -> bool:
         """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
-        here, met = me.xz.tolist(), []
-        for other, pair in self._avoided[me.number]:
-            # who touched before may go on touching, or the two could never part
-            if self._is_near(me.number, here, other) and pair not in self.touching and self._touch(*pair):
-                met.append(other)
-        if met:
-            me.hindered_by |= frozenset(met)
+        here = me.xz.tolist()
+        # who touched before may go on touching, or the two could never part
+        met = [
+            other
+            for other, pair in self._avoided[me.number]
+            if self._is_near(me.number, here, other) and pair not in self.touching and self._touch(*pair)
+        ]
+        me.hindered_by |= frozenset(met)
         return bool(met)
 
     def discs_of(self, number: int) -> NDArray[np.float64]:
@@ -239,10 +238,6 @@ class GivingWay:
 
     def _pose(self, actor: AnyActor) -> None:
         """Bring an agent's shapes to where recordings, which are float32, put them."""
-        now, was = (*actor.xz.tolist(), actor.heading, _posture(actor)), self._posed.get(actor.number)
-        if was is not None and was[:3] == now[:3] and _is_same(was[3], now[3]):
-            return
-        self._posed[actor.number] = now
         body = self.bodies[actor.number]
         if isinstance(actor, RobotActor):
             posed = actor.robot.link_matrices(_stored(actor.pose)[None], _stored(actor.joints)[None])

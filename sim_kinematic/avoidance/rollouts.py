@@ -161,13 +161,12 @@ def _roll_out(
                 speed, turn, straight, still = then, 0.0, True, False
             # a step that has moved nothing is the same the next time
             if not still:
-                was_x, was_z, turned, heading = x, z, facing, facing[0]
+                turned, before = facing, (x, z, facing[0])
                 if turn != 0.0:
-                    heading += turn * dt
+                    heading = facing[0] + turn * dt
                     turned = heading, math.cos(heading), math.sin(heading)
-                heading = facing[0]
                 x, z, facing, _ = drive_facing(sdf, origin, cell, x, z, facing, turned, speed, 0.0, turn, dt, rules)
-                still = x == was_x and z == was_z and facing[0] == heading
+                still = before == (x, z, facing[0])
             # the gap is looked at for as long as the person is foreseen, the pose only for the next
             # ``look_steps``
             if step < len(person):

@@ -66,8 +66,7 @@ class StandOffs:
         """
         stuck = []
         for pair, encounter in self._encounters.items():
-            a, b = self._walkers[pair[0]], self._walkers[pair[1]]
-            if not near or math.dist(a.xz.tolist(), b.xz.tolist()) > AVOIDANCE.stand_off_m:
+            if not near or math.dist(*[self._walkers[number].xz.tolist() for number in pair]) > AVOIDANCE.stand_off_m:
                 encounter.steps, encounter.waited = 0, False
                 encounter.legs.clear()
                 continue

@@ -498,15 +498,19 @@ class Household(Team):
         runner = self.controllers[number]
         goes, known = runner.skill is not None, self._errands.get(number)
         # by identity, as commands in actions may be arrays; it is the same for nearly all steps of a skill
-        if known is not None and known[0] is runner.action and known[1:3] == (goes, runner.completed):
-            return known[3]
-        skill, k, *_ = runner.action
-        # skills by which somebody else moves a robot step by step
-        driven = skill in (CONTROL, *PRIMITIVES) or isinstance(runner.actor, DrivenPerson)
-        busy, way = goes and skill not in IDLE_SKILLS, partial(self._way, runner)
-        progress = TaskProgress(busy, (skill, k), way, runner.completed, obeys=not driven)
-        self._errands[number] = runner.action, goes, runner.completed, progress
-        return progress
+        if known is None or known[0] is not runner.action or known[1:3] != (goes, runner.completed):
+            skill, k, *_ = runner.action
+            # skills by which somebody else moves a robot step by step
+            driven = skill in (CONTROL, *PRIMITIVES) or isinstance(runner.actor, DrivenPerson)
+            progress = TaskProgress(
+                goes and skill not in IDLE_SKILLS,
+                (skill, k),
+                partial(self._way, runner),
+                runner.completed,
+                obeys=not driven,
+            )
+            known = self._errands[number] = runner.action, goes, runner.completed, progress
+        return known[3]
 
     def _way(self, runner: SkillController) -> Callable[[], float]:
         """Return `TaskProgress.way` of an agent, whose skill leads to an object, a goal or a handle; infinite: nowhere."""
