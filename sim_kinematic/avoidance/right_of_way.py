@@ -124,14 +124,13 @@ class RightOfWay:
         numbers = [walker.number for walker in walkers]
         self._beside_m = {w.number: AVOIDANCE.beside_m[w.is_robot] + _size_beyond_default(w) for w in walkers}
         """Distance from an agent's path within which another agent blocks it [m]."""
-        self._extent_m = {walker.number: walker.footprint.extent_m for walker in walkers}
         self._stand_offs = None if errand is None else StandOffs(walkers, numbers, errand)
         self._requests: dict[int, _Request] = {}
         self._marks = np.zeros(len(walkers), MARK)
         """Progress of each agent, `MARK` [A]."""
         for row, walker in zip(self._marks, walkers, strict=True):
             (row["x"], row["z"]), row["heading"] = walker.xz, walker.heading
-            row["beside"], row["extent"] = self._beside_m[walker.number], self._extent_m[walker.number]
+            row["beside"], row["extent"] = self._beside_m[walker.number], walker.footprint.extent_m
         self._row = {number: row for row, number in enumerate(numbers)}
         """Row of each agent in ``_marks``, by number."""
 
@@ -250,7 +249,7 @@ class RightOfWay:
         if other.yields and held_up and other.number in me.hindered_by:
             return True
         (x, z), moves = (math.nan, math.nan) if start is None else start, theirs is not None
-        marks = self._beside_m[me.number], self._extent_m[other.number]
+        marks = self._beside_m[me.number], other.footprint.extent_m
         if not is_close(x, z, *other.xz.tolist(), moves, other.yields, held_up, *marks, *_COUNTS[-2:]):
             return False
         ahead_m = AVOIDANCE.asks_moving_m if len(self.path(other)) else AVOIDANCE.asks_idle_m
