@@ -229,7 +229,7 @@ class StateBlock(NamedTuple):
         ]
         people = [*(view[len(state.robots) :] for view in views[:2]), *views[2 : len(_PEOPLE)]]
         together = {n: a.reshape(-1, *a.shape[2:]) for n, a in zip(_PEOPLE, people, strict=True)}
-        return cls(block, _assembled(state, views), HumanState(**together), *views[:2], views)
+        return cls(block, _assembled(state, views), HumanState(**together), views[0], views[1], views)
 
     def first(self) -> NDArray[np.uint8]:
         """Return a copy of the first world's state as bytes, for `past`."""
