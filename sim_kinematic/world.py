@@ -398,10 +398,10 @@ class World:
         checked: list[Command] = []
         posed = [command.points for command in commands if isinstance(command, PoseCommand)]
         # people of crowds are many, so they are looked at together first
-        sound = all(
-            isinstance(points, np.ndarray) and points.shape == (self.worlds, 2) and points.dtype == np.float64
-            for points in posed
-        ) and (not posed or first_not_finite(np.concatenate(posed)) < 0)
+        sound = not posed or (
+            all(isinstance(p, np.ndarray) and p.shape == (self.worlds, 2) and p.dtype == np.float64 for p in posed)
+            and first_not_finite(np.concatenate(posed)) < 0
+        )
         for member, command, width in zip(self.roster, commands, self.widths, strict=True):
             assert command is not None, "agents with skills move themselves"
             known = sound and isinstance(command, PoseCommand) and member.kind == "human"

@@ -68,7 +68,11 @@ class GivingWay:
         self.neighbours = Neighbours.of(actors)
         """All agents as they were after their last turns, which the others observe."""
         self._people_see_robot, self._person_radius_m = people_see_robot, person_radius_m
-        self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
+        self._avoided = [
+            [(b.number, (min(a.number, b.number), max(a.number, b.number))) for b in actors if self.avoids(a, b)]
+            for a in actors
+        ]
+        """Agents that each one avoids, each with the pair of both numbers."""
         heeded = np.array([[self.avoids(me, other) for other in actors] for me in actors])
         self._around = [self.neighbours._replace(heeded=row, agreed=agreed) for row in heeded]
         for actor in actors:
@@ -92,8 +96,8 @@ class GivingWay:
             people = {k: clip_reach(body) for k, body in enumerate(self.bodies) if not isinstance(body, Robot)}
             self._reach_m = [min(people.get(k, reach), reach) for k, reach in enumerate(self._reach_m)]
         self._reaches = np.array(self._reach_m)
-        self._posed: dict[int, tuple[float, float, float, Any]] = {}
-        """Place, heading and posture to which the shapes of agents were last moved."""
+        self._asked: dict[tuple[int, int], tuple[tuple[Any, ...], bool]] = {}
+        """Postures and roots of two agents when it was last asked whether they touch, and the answer."""
         self._postures: list[Any] = [None] * len(actors)
         """Postures to which the capsules around agents were last moved."""
         self.at: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * len(actors)
@@ -131,7 +135,7 @@ class GivingWay:
     def begin_step(self, carrying: Sequence[int] = ()) -> None:
         """Decide which agents step aside in the next step; ``carrying`` are the numbers of those with an object."""
         if self.right_of_way is not None:
-            self.right_of_way.update(carrying, self.neighbours.agents)
+            self.right_of_way.update(self.neighbours.agents, carrying)
 
     def around(self, number: int) -> Neighbours:
         """Return all agents as others observe them, and which of them an agent gives way to."""
@@ -153,12 +157,12 @@ class GivingWay:
     def meets(self, me: AnyActor) -> bool:
         """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
         here = me.xz.tolist()
-        near = [other.number for other in self._avoided[me.number] if self._is_near(me.number, here, other.number)]
-        if not near:
-            return False
-        pairs = {other: (min(me.number, other), max(me.number, other)) for other in near}
         # who touched before may go on touching, or the two could never part
-        met = [other for other, pair in pairs.items() if pair not in self.touching and self._touch(*pair)]
+        met = [
+            other
+            for other, pair in self._avoided[me.number]
+            if self._is_near(me.number, here, other) and pair not in self.touching and self._touch(*pair)
+        ]
         me.hindered_by |= frozenset(met)
         return bool(met)
 
@@ -208,17 +212,23 @@ class GivingWay:
     def _touch(self, a: int, b: int) -> bool:
         """Return whether two agents touch as they are now."""
         one, other = self.actors[a], self.actors[b]
+        now, was = (_posture(one), _root(one), _posture(other), _root(other)), self._asked.get((a, b))
+        # asked at the end of a step, nobody has moved since the turn of the last agent
+        if was is not None and all(map(_is_same, was[0], now)):
+            return was[1]
         # capsules first, at a tenth of the cost of posing the shapes; they almost always decide
-        if not may_touch(self._gated(one), _root(one), self._gated(other), _root(other)):
-            return False
-        self._pose(one)
-        self._pose(other)
-        return self._contacts.collides(a, b)
+        touch = may_touch(self._gated(one, now[0]), now[1], self._gated(other, now[2]), now[3])
+        if touch:
+            self._pose(one)
+            self._pose(other)
+            touch = self._contacts.collides(a, b)
+        self._asked[a, b] = now, touch
+        return touch
 
-    def _gated(self, actor: AnyActor) -> AgentCapsules:
-        """Return the capsules around an agent in its present posture."""
-        capsules, (was, now) = self._capsules[actor.number], (self._postures[actor.number], _posture(actor))
-        if not _is_same(was, now):
+    def _gated(self, actor: AnyActor, now: Any) -> AgentCapsules:
+        """Return the capsules around an agent in its present posture ``now``."""
+        capsules = self._capsules[actor.number]
+        if not _is_same(self._postures[actor.number], now):
             self._postures[actor.number] = now
             if isinstance(actor, RobotActor):
                 capsules.pose(actor.joints)
@@ -228,10 +238,6 @@ class GivingWay:
 
     def _pose(self, actor: AnyActor) -> None:
         """Bring an agent's shapes to where recordings, which are float32, put them."""
-        now, was = (*actor.xz.tolist(), actor.heading, _posture(actor)), self._posed.get(actor.number)
-        if was is not None and was[:3] == now[:3] and _is_same(was[3], now[3]):
-            return
-        self._posed[actor.number] = now
         body = self.bodies[actor.number]
         if isinstance(actor, RobotActor):
             posed = actor.robot.link_matrices(_stored(actor.pose)[None], _stored(actor.joints)[None])
@@ -248,7 +254,7 @@ def _posture(actor: AnyActor) -> Any:
 
 
 def _is_same(was: Any, now: Any) -> bool:
-    """Return whether two results of `_posture` for one agent are the same posture."""
+    """Return whether a posture or a root is the one of before: whatever moves an agent makes a new array."""
     return was is now or (isinstance(now, bytes) and was == now)
 
 

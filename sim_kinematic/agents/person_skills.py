@@ -396,14 +396,15 @@ class PersonActor:
                 strider.begin(np.vstack([self.xz[None], path]), facing=facing)
                 waited, left = 0, False
                 continue
-            self.path = partial(_joined, self.xz.copy(), strider.ahead)
+            ahead = strider.ahead
+            self.path = partial(_joined, self.xz.copy(), ahead)
             if left:
                 # stepping aside has a speed of its own, so they set off from rest afterwards
                 strider.halt()
                 self._stand()
                 yield
                 continue
-            blocker = in_the_way(self.xz, strider.target, self.others)
+            blocker = in_the_way(self.xz, ahead[0], self.others)
             if blocker >= 0 and waited % 10 == 0 and not waits(self.number, self.others, blocker):
                 detour = path_around(self.free, self.xz, goal, self.others)
                 if detour is not None:

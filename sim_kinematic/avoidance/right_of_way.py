@@ -28,7 +28,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_of_paths, distance_to_path, first_of_path, is_ahead
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.stand_offs import StandOffs, TaskProgress
-from sim_kinematic.avoidance.yielding import NO_PATH, Body, Neighbours, discs_of
+from sim_kinematic.avoidance.yielding import NO_PATH, Body, discs_of
 
 _CALL = Entries()
 MARK = np.dtype(
@@ -137,14 +137,13 @@ class RightOfWay:
         """Use another floor from now on, because a door or a drawer has moved."""
         self._free, self._routes = free, FloorRoutes.of(free)
 
-    def update(self, carrying: Sequence[int] = (), agents: NDArray[Any] | None = None) -> None:
+    def update(self, agents: NDArray[Any], carrying: Sequence[int] = ()) -> None:
         """Set ``aside`` of every agent.
 
         Args:
+            agents: present state of the agents, `AGENT` [A], in the order of the walkers.
             carrying: numbers of the agents that hold something.
-            agents: present state of the agents, `AGENT` [A], in the order of the walkers; None: the walkers are looked at.
         """
-        agents = self._looked() if agents is None else agents
         if self._requests:
             agents = agents.copy()
             for number, request in self._requests.items():
@@ -176,14 +175,6 @@ class RightOfWay:
             waiting = asked + [other for other in waiting if other not in asked]
         for number, walker in self._walkers.items():
             walker.aside = self._requests[number].route if number in self._requests else None
-
-    def _looked(self) -> NDArray[Any]:
-        """Return the present state of the agents, `AGENT` [A]."""
-        walkers = list(self._walkers.values())
-        found = Neighbours.of(walkers)
-        for k, walker in enumerate(walkers):
-            found.note(k, walker, start=walker.path_start, yields=walker.yields, hindered=bool(walker.hindered_by))
-        return found.agents
 
     def _stalled(self, number: int) -> int:
         """Return the number of steps for which an agent with a path has made no progress."""

@@ -154,16 +154,19 @@ def _roll_out(
         else:
             branch, branch_x, branch_z, branch_facing, branch_gap = 0, x0, z0, begun, math.inf
         first, x, z, facing, gap = branch, branch_x, branch_z, branch_facing, branch_gap
-        straight = False
+        straight = still = False
         for step in range(first, max(len(person), look_steps)):
             if step >= commands[n, 2] and not straight:
                 branch, branch_x, branch_z, branch_facing, branch_gap = step, x, z, facing, gap
-                speed, turn, straight = then, 0.0, True
-            turned = facing
-            if turn != 0.0:
-                heading = facing[0] + turn * dt
-                turned = heading, math.cos(heading), math.sin(heading)
-            x, z, facing, _ = drive_facing(sdf, origin, cell, x, z, facing, turned, speed, 0.0, turn, dt, rules)
+                speed, turn, straight, still = then, 0.0, True, False
+            # a step that has moved nothing is the same the next time
+            if not still:
+                turned, before = facing, (x, z, facing[0])
+                if turn != 0.0:
+                    heading = facing[0] + turn * dt
+                    turned = heading, math.cos(heading), math.sin(heading)
+                x, z, facing, _ = drive_facing(sdf, origin, cell, x, z, facing, turned, speed, 0.0, turn, dt, rules)
+                still = before == (x, z, facing[0])
             # the gap is looked at for as long as the person is foreseen, the pose only for the next
             # ``look_steps``
             if step < len(person):

@@ -19,8 +19,9 @@ class TaskProgress(NamedTuple):
     """True if the agent has something to do."""
     leg: Hashable
     """Identifier of the current activity; another value means another path."""
-    left_m: Callable[[], float]
-    """Remaining length of the agent's path [m]; infinite if it has none."""
+    way: Callable[[], Callable[[], float]]
+    """Function that notes where the agent is and goes now, and returns a function that computes the length of the path
+    between the two [m], which is infinite if it has none."""
     completed: int
     """Number of tasks that the agent has completed."""
     obeys: bool = True
@@ -38,8 +39,9 @@ class Encounter:
     waited: bool = False
     """True if one of the two has waited for the other, which is driven from outside."""
     completed: tuple[int, ...] = ()
-    legs: dict[int, tuple[Hashable, float]] = field(default_factory=dict)
-    """Activity of each agent, and its remaining distance [m] when the activity began or the agents met."""
+    legs: dict[int, tuple[Hashable, Callable[[], float]]] = field(default_factory=dict)
+    """Activity of each agent, and its remaining distance when the activity began or the agents met
+    (`TaskProgress.way`)."""
 
 
 class StandOffs:
@@ -64,12 +66,11 @@ class StandOffs:
         """
         stuck = []
         for pair, encounter in self._encounters.items():
-            if not near or math.dist(*(self._walkers[number].xz.tolist() for number in pair)) > AVOIDANCE.stand_off_m:
+            if not near or math.dist(*[self._walkers[number].xz.tolist() for number in pair]) > AVOIDANCE.stand_off_m:
                 encounter.steps, encounter.waited = 0, False
                 encounter.legs.clear()
                 continue
             encounter.steps += 1
-            # only of agents near each other: the progress of a task is put together anew each time
             errands = {number: self.errand(number) for number in pair}
             if self._gets_on(encounter, errands):
                 encounter.steps, encounter.rounds = 0, 0
@@ -89,12 +90,12 @@ class StandOffs:
         gets_on = completed != encounter.completed and len(encounter.completed) > 0
         encounter.completed = completed
         for number, errand in errands.items():
-            leg, before = encounter.legs.get(number, (None, math.inf))
-            if number not in encounter.legs or leg != errand.leg:
-                encounter.legs[number] = errand.leg, errand.left_m()
+            known = encounter.legs.get(number)
+            if known is None or known[0] != errand.leg:
+                encounter.legs[number] = errand.leg, errand.way()
             # the length of a path takes a search, which is too slow for every step
-            elif encounter.steps % AVOIDANCE.looks_steps == 0 and math.isfinite(before):
-                gets_on |= before - errand.left_m() > AVOIDANCE.gets_on_m
+            elif encounter.steps % AVOIDANCE.looks_steps == 0 and math.isfinite(before := known[1]()):
+                gets_on |= before - errand.way()() > AVOIDANCE.gets_on_m
         # the distance to go is measured anew from here, or one good step would count again and again
         if gets_on:
             encounter.legs.clear()

@@ -215,6 +215,8 @@ class StateBlock(NamedTuple):
     """Places of all agents [A, W, 2] [m]."""
     heading: NDArray[np.float64]
     """Headings of all agents [A, W] [rad]."""
+    arrays: list[NDArray[Any]]
+    """Arrays of `_adjacent`, which are views of the block."""
 
     @classmethod
     def of(cls, state: WorldState) -> StateBlock:
@@ -227,23 +229,27 @@ class StateBlock(NamedTuple):
         ]
         people = [*(view[len(state.robots) :] for view in views[:2]), *views[2 : len(_PEOPLE)]]
         together = {n: a.reshape(-1, *a.shape[2:]) for n, a in zip(_PEOPLE, people, strict=True)}
-        return cls(block, _assembled(state, views), HumanState(**together), views[0], views[1])
+        return cls(block, _assembled(state, views), HumanState(**together), views[0], views[1], views)
 
     def first(self) -> NDArray[np.uint8]:
         """Return a copy of the first world's state as bytes, for `past`."""
-        # a copy of one world's block takes a tenth of the time
-        return self.block.copy() if self.state.worlds == 1 else StateBlock.of(self.state.take(np.arange(1))).block
+        return self._alone.block.copy()
+
+    @property
+    def _alone(self) -> StateBlock:
+        """Block of the first world."""
+        # that of one world is its own, which takes a tenth of the time
+        return self if self.xz.shape[1] == 1 else StateBlock.of(self.state.take(np.arange(1)))
 
     def past(self, moments: Sequence[NDArray[np.uint8]]) -> WorldState:
         """Return the first world at T moments, which `first` stored, as the state of T worlds."""
-        first, blocks = self.state.take(np.arange(1)), np.stack(moments)
-        arrays, parts = _adjacent(first), []
-        for number, (array, begin) in enumerate(zip(arrays, _begins(arrays), strict=False)):
+        first, blocks, parts = self._alone, np.stack(moments), []
+        for number, (array, begin) in enumerate(zip(first.arrays, _begins(first.arrays), strict=False)):
             part = np.ascontiguousarray(blocks[:, begin : begin + array.nbytes]).view(array.dtype)
             part = part.reshape(len(blocks), *array.shape)
             # the moment takes the place of the world, behind the number of the agent
             parts.append(np.moveaxis(part[:, :, 0], 0, 1) if number < len(_PEOPLE) else part[:, 0])
-        return _assembled(first, parts)
+        return _assembled(first.state, parts)
 
 
 _PEOPLE = ("xz", "heading", *(name for name in vars(HumanState.zeros(0)) if name not in ("xz", "heading")))

@@ -332,13 +332,8 @@ class Strider:
 
     @property
     def ahead(self) -> Array:
-        """Remaining waypoints [K, 2] of the path."""
+        """Remaining waypoints [K, 2] of the path, of which the person walks to the first."""
         return self._path[min(self._next, len(self._path) - 1) :]
-
-    @property
-    def target(self) -> Array:
-        """Waypoint [2] that the person walks to."""
-        return self._path[min(self._next, len(self._path) - 1)]
 
     @property
     def _next(self) -> int:

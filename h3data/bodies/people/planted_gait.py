@@ -6,6 +6,7 @@ the motion, recordings of people store only their roots.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,10 +31,16 @@ _CALL = Entries()
 """Kernels called with tables: those of all bodies and floors are contiguous and float64."""
 
 
+@cache
+def _kernels() -> Any:
+    """Return the module of the kernels, imported at first use."""
+    from h3data.bodies.people.kernels import planted
+
+    return planted
+
+
 def gait_tables(gaits: Gaits) -> GaitTables:
     """Return sampled tables of the gaits of a body; computing them takes 40 ms."""
-    from h3data.bodies.people.kernels.planted import GaitTables
-
     # rows of the tables; between them gaits are blended, also from walking (1.6) to jogging (2.5)
     speeds_mps = (0.0, 0.35, 0.6, 1.0, 1.3, 1.6, 2.5, 3.0, 4.0)
     legs, rows = gaits.legs, len(speeds_mps)
@@ -68,7 +75,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
     # travel is 0 where nobody travels; the row after replaces the quotient
     cadence = speeds / np.maximum(travel, 1e-9)
     cadence[0] = cadence[1]
-    return GaitTables(
+    return _kernels().GaitTables(
         legs=legs.measures,
         half_width=legs.half_width,
         ankle_height=float(legs.ankle_height),
@@ -128,16 +135,14 @@ def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None
     ``time_s`` [T] is the time of each row [s]; by default rows are 1/30 s apart. The person stands after rows that are
     not finite (absence) and after jumps of the root.
     """
-    from h3data.bodies.people.kernels.planted import STATE_COLUMNS, run_gaits
-
     base = np.asarray(base, np.float64)
     seconds = np.full(len(base), STEP_S)
     if time_s is not None and len(base):
         # the first row has no step before it, and is never stepped
         seconds = np.diff(np.asarray(time_s, np.float64), prepend=0.0)
-    states = np.empty((len(base), STATE_COLUMNS))
+    states = np.empty((len(base), _kernels().STATE_COLUMNS))
     xz, heading = np.ascontiguousarray(base[:, [0, 2]]), heading_from_quat(base[:, 3:])
-    run_gaits(tables, xz, heading, seconds, STEP_S, states)
+    _kernels().run_gaits(tables, xz, heading, seconds, STEP_S, states)
     return states
 
 
@@ -146,10 +151,8 @@ def pose_planted(tables: GaitTables, states: Array, *, joints: int = JOINT_COUNT
 
     Fewer joints take less time. At least the first 16 (legs, trunk and head) are computed.
     """
-    from h3data.bodies.people.kernels.planted import pose_gaits
-
     quats, pelvis = np.empty((len(states), joints, 4)), np.empty((len(states), 3))
-    pose_gaits(tables, np.ascontiguousarray(states, np.float64), quats, pelvis)
+    _kernels().pose_gaits(tables, np.ascontiguousarray(states, np.float64), quats, pelvis)
     return quats, pelvis
 
 
@@ -159,60 +162,52 @@ class PlantedWalk:
     def __init__(self, tables: GaitTables, base: ArrayLike) -> None:
         """Create a standing walk at ``base`` [7], the pose of the agent root."""
         self.tables = tables
-        self.state: Array = np.zeros(self._kernels.STATE_COLUMNS)
+        self.state: Array = np.zeros(_kernels().STATE_COLUMNS)
         """Current state, as a row of `planted_states` [K]; copy it to store a moment."""
         self.stand(base)
 
-    @property
-    def _kernels(self) -> Any:
-        from h3data.bodies.people.kernels import planted
-
-        return planted
-
     def stand(self, base: ArrayLike) -> None:
         """Place both feet as in standing under a root [7]."""
-        _CALL(self._kernels.stand_one, self.tables, self.state, *_place(base))
+        _CALL(_kernels().stand_one, self.tables, self.state, *_place(base))
 
     @property
     def stands(self) -> bool:
         """Return whether the feet are at rest in the standing position."""
-        return bool(_CALL(self._kernels.one_stands, self.tables, self.state))
+        return bool(_CALL(_kernels().one_stands, self.tables, self.state))
 
     @property
     def head_turn(self) -> float:
         """Angle by which the head has turned to the left in the last step [rad]."""
-        return float(self.state[self._kernels.LOOK_RATE]) * STEP_S
+        return float(self.state[_kernels().LOOK_RATE]) * STEP_S
 
     @property
     def speed_mps(self) -> float:
         """Speed of the gait [m/s], which follows the speed of the root with at most 9 m/s^2."""
-        return abs(float(self.state[self._kernels.SPEED]))
+        return abs(float(self.state[_kernels().SPEED]))
 
     def is_at(self, base: ArrayLike) -> bool:
         """Return whether the root [7] is the root after the last step."""
         x, z, heading = _place(base)
-        turned = np.abs((self.state[self._kernels.HEADING] - heading + np.pi) % (2 * np.pi) - np.pi)
+        turned = np.abs((self.state[_kernels().HEADING] - heading + np.pi) % (2 * np.pi) - np.pi)
         return bool(
-            abs(self.state[self._kernels.X] - x) < 1e-6
-            and abs(self.state[self._kernels.Z] - z) < 1e-6
-            and turned < 1e-6
+            abs(self.state[_kernels().X] - x) < 1e-6 and abs(self.state[_kernels().Z] - z) < 1e-6 and turned < 1e-6
         )
 
     def step(self, base: ArrayLike) -> None:
         """Advance by 1/30 s, in which the root moves to ``base`` [7]."""
-        _CALL(self._kernels.step_one, self.tables, self.state, *_place(base), STEP_S)
+        _CALL(_kernels().step_one, self.tables, self.state, *_place(base), STEP_S)
 
     def stride(self, base: ArrayLike, heading: float) -> tuple[Array, Array]:
         """Advance by 1/30 s to a root [7] whose heading [rad] is known, and return the `pose` there."""
         quats, pelvis = np.empty((JOINT_COUNT, 4)), np.empty(3)
         x, _, z, *_ = np.asarray(base, np.float64).tolist()
-        _CALL(self._kernels.stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
+        _CALL(_kernels().stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
     def pose(self) -> tuple[Array, Array]:
         """Return the local rotations [55, 4] and the position of the pelvis [3] [m] in the agent root frame."""
         quats, pelvis = np.empty((1, JOINT_COUNT, 4)), np.empty((1, 3))
-        _CALL(self._kernels.pose_gaits, self.tables, self.state[None], quats, pelvis)
+        _CALL(_kernels().pose_gaits, self.tables, self.state[None], quats, pelvis)
         return quats[0], pelvis[0]
 
     def plant(self, quats: Array, pelvis: Array) -> None:
@@ -223,7 +218,7 @@ class PlantedWalk:
         """
         # any other arrays of the caller by numba itself, which looks at their types
         plain = all(part.flags.carray and part.dtype == np.float64 for part in (quats, pelvis))
-        plant = self._kernels.plant_legs
+        plant = _kernels().plant_legs
         _CALL(plant, self.tables, self.state, quats, pelvis) if plain else plant(self.tables, self.state, quats, pelvis)
 
 

@@ -41,5 +41,7 @@ def each_pair(kernel: Callable[[NDArray, NDArray], NDArray], a: ArrayLike, b: Ar
     p, q = floor_points(a), floor_points(b)
     if p.shape != q.shape:  # broadcast_arrays alone takes 4 us
         p, q = np.broadcast_arrays(p, q)
+    if p.ndim == 2:  # nothing to reshape, as in nearly all calls
+        return kernel(np.ascontiguousarray(p), np.ascontiguousarray(q))
     out = kernel(np.ascontiguousarray(p.reshape(-1, 2)), np.ascontiguousarray(q.reshape(-1, 2)))
     return out.reshape(p.shape[:-1])

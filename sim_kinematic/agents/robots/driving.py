@@ -92,6 +92,8 @@ class RobotDriver:
         """Command to which the robot speeds up."""
         self._commands: list[tuple[float, float]] = []
         """Rest of a maneuver by which it steps aside."""
+        self._posed: tuple[Any, Array] = None, IDENTITY_POSE
+        """Floor, place and heading of the last `pose`, and the pose."""
         self._numbers: tuple[BaseSpec | None, tuple[Any, ...]] = None, ()
         """A base, and its numbers for the kernel of a step."""
         self._start: NDArray | None = None
@@ -165,8 +167,11 @@ class RobotDriver:
 
     @property
     def pose(self) -> Array:
-        """Pose (pose7) of the agent root in the world."""
-        return root_pose(self.robot, self.xz, self.heading, self.free)
+        """Pose (pose7) of the agent root in the world; the same array as long as the robot stands still."""
+        now = self.free, *self.xz.tolist(), self.heading
+        if self._posed[0] != now:
+            self._posed = now, root_pose(self.robot, self.xz, self.heading, self.free)
+        return self._posed[1]
 
     @property
     def hand_pose(self) -> Array:
@@ -229,17 +234,17 @@ class RobotDriver:
 
     def _drive(self, towards: NDArray, left_m: float = np.inf) -> None:
         """Drive one step towards a floor point [2]; ``left_m`` is the length of the path on which it brakes [m]."""
-        (x, z), (to_x, to_z), (limits, stride_m) = self.xz.tolist(), towards.tolist(), (self.base, self._stride_m)
-        error, turned = self._error_to(towards), limits.max_turn_rad_s * STEP_S * float(np.hypot(to_x - x, to_z - z))
+        (x, z), (to_x, to_z), limits = self.xz.tolist(), towards.tolist(), self.base
+        stride_m, error = limits.max_speed_mps * STEP_S, self._error_to(towards)
+        turned = limits.max_turn_rad_s * STEP_S * float(np.hypot(to_x - x, to_z - z))
         ahead, aside = max(0.0, float(np.cos(error))) ** 2, abs(float(np.sin(error)))
         # slow enough to turn to a near point instead of circling it: the bearing of a point at distance d turns by
-        # v sin(e) / d, at most half as fast as the base; a command of 1 covers `_stride_m`, so the last step ends at the goal
+        # v sin(e) / d, at most half as fast as the base; a command of 1 covers `stride_m`, so the last step ends at the goal
         forward = min(ahead, 0.5 * turned / max(aside * stride_m, 1e-9), left_m / stride_m)
         # bases under Habitat's rules do not brake: they drive as they did, to the bit
         if limits.maneuvers:
             corner = braking_speed(AVOIDANCE.accel_mps2, math.hypot(to_x - x, to_z - z), AVOIDANCE.corner_mps)
-            braked = min(corner, braking_speed(AVOIDANCE.accel_mps2, left_m))
-            forward = min(forward, braked / limits.max_speed_mps)
+            forward = min(forward, min(corner, braking_speed(AVOIDANCE.accel_mps2, left_m)) / limits.max_speed_mps)
         self._step(forward, self._turn(error), towards)
 
     def drive_to(self, goal: NDArray, *, facing: NDArray | None = None, within_m: float = ARRIVED_M) -> Skill:
@@ -267,8 +272,10 @@ class RobotDriver:
                 if (yield from self._maneuver(goal, bearing)):
                     best, since, via, is_near = np.inf, 0, NO_PATH, self._leg(goal)[0] <= NEARLY_M
                     continue
-            if since in AVOIDANCE.detour_after_steps and detours < AVOIDANCE.detours and self._looks_around:
-                detour = self._detour(goal)
+            if since in AVOIDANCE.detour_after_steps and detours < AVOIDANCE.detours:
+                # bases that maneuver consider only agents that are near
+                looks = (self.others.near(self.xz) if self.base.maneuvers else self.others.heeded).any()
+                detour = self._detour(goal) if looks else None
                 if detour is not None:
                     via, best, detours = detour[:-1], np.inf, detours + 1
             if len(via) and np.hypot(*(via[0] - self.xz)) < AVOIDANCE.via_m:
@@ -293,12 +300,6 @@ class RobotDriver:
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
         return SkillResult("failed", "stuck")
-
-    @property
-    def _looks_around(self) -> bool:
-        """Return whether another agent may be in its path; bases that maneuver consider only agents that are near."""
-        others = self.others
-        return bool((others.near(self.xz) if self.base.maneuvers else others.heeded).any())
 
     def _maneuver(self, goal: NDArray, bearing: float | None = None) -> Generator[None, None, bool]:
         """Maneuver towards a floor point [2] where the robot is stuck; return whether a whole maneuver was done."""
@@ -346,11 +347,6 @@ class RobotDriver:
             radius_m=self.base.disc_radius_m,
             passing_m=AVOIDANCE.robot_passing_m,
         )
-
-    @property
-    def _stride_m(self) -> float:
-        """Longest distance of one step."""
-        return self.base.max_speed_mps * STEP_S
 
     def _turn(self, error: float) -> float:
         """Return the command that removes a heading error [rad] in one step, if no limit or braking prevents it."""

@@ -110,6 +110,8 @@ class Household(Team):
         self.controllers = [
             SkillController(actor.number, actor, play.spans, names, joints, aim=self.aim) for actor in self.actors
         ]
+        self._errands: dict[int, tuple[Action, bool, int, TaskProgress]] = {}
+        """Last progress of each agent, with the action, whether it runs, and the number of tasks that it is made of."""
         self.messages: list[Event] = []
         """Messages that agents have sent so far, as events."""
         self.company = self._introduced()
@@ -494,24 +496,35 @@ class Household(Team):
     def errand(self, number: int) -> TaskProgress:
         """Return the progress of an agent in its present task."""
         runner = self.controllers[number]
-        skill, k, *_ = runner.action
-        # skills by which somebody else moves a robot step by step
-        driven = skill in (CONTROL, *PRIMITIVES) or isinstance(runner.actor, DrivenPerson)
-        busy = runner.skill is not None and skill not in IDLE_SKILLS
-        return TaskProgress(busy, (skill, k), partial(self._left_m, runner), runner.completed, obeys=not driven)
+        goes, known = runner.skill is not None, self._errands.get(number)
+        # by identity, as commands in actions may be arrays; it is the same for nearly all steps of a skill
+        if known is None or known[0] is not runner.action or known[1:3] != (goes, runner.completed):
+            skill, k, *_ = runner.action
+            # skills by which somebody else moves a robot step by step
+            driven = skill in (CONTROL, *PRIMITIVES) or isinstance(runner.actor, DrivenPerson)
+            progress = TaskProgress(
+                goes and skill not in IDLE_SKILLS,
+                (skill, k),
+                partial(self._way, runner),
+                runner.completed,
+                obeys=not driven,
+            )
+            known = self._errands[number] = runner.action, goes, runner.completed, progress
+        return known[3]
 
-    def _left_m(self, runner: SkillController) -> float:
-        """Return the length of the path to the object, goal or handle of an agent's skill [m]; infinite: it goes nowhere."""
+    def _way(self, runner: SkillController) -> Callable[[], float]:
+        """Return `TaskProgress.way` of an agent, whose skill leads to an object, a goal or a handle; infinite: nowhere."""
         skill, k = runner.action[:2]
         if runner.skill is None or not skill.startswith("nav"):
-            return math.inf
+            return lambda: math.inf
         if skill == "nav_to_handle":
             assert self.objects.openables is not None
             point = self.objects.openables.handles(self.objects.openables.positions)[k]
         else:
             point = self.objects.destination(runner.number, runner.action)
+        floor, xz, end = self.floor, runner.actor.xz.copy(), point[[0, 2]]
         # things on furniture are off the free floor: the path leads to the floor nearest to them
-        return float(self.floor.geodesic(runner.actor.xz, point[[0, 2]], max_snap_m=2.0))
+        return lambda: float(floor.geodesic(xz, end, max_snap_m=2.0))
 
     def barrier(self, actor: AnyActor, k: int, at_goal: bool, *, detour_m: float = DETOUR_M) -> int:
         """Return `RearrangeView.barrier` for an agent that prefers detours of ``detour_m`` [m] to opening a door."""

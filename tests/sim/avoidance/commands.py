@@ -10,6 +10,7 @@ import numpy as np
 
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance import velocity
+from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import base_numbers
 from sim_kinematic.avoidance.yielding import Neighbours
@@ -38,6 +39,15 @@ def neighbours(*others: Seen, first: int = 1) -> Neighbours:
         found.note(k, other, (float(other.velocity[0]), float(other.velocity[1])))
         found.agents["settled"][k], found.agents["number"][k] = other.settled, first + k
     return found
+
+
+def decide(rules: RightOfWay, carrying: Sequence[int] = ()) -> None:
+    """Let agents decide who steps aside, each as it is now."""
+    walkers = list(rules._walkers.values())
+    found = Neighbours.of(walkers)
+    for k, walker in enumerate(walkers):
+        found.note(k, walker, start=walker.path_start, yields=walker.yields, hindered=bool(walker.hindered_by))
+    rules.update(found.agents, carrying)
 
 
 def standing(xz: np.ndarray, heading: float) -> RobotState:

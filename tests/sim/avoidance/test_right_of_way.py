@@ -29,7 +29,7 @@ from sim_kinematic.motion.state import WorldState
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.recorder import run
-from tests.sim.avoidance.commands import Seen, neighbours
+from tests.sim.avoidance.commands import Seen, decide, neighbours
 from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange
 
 
@@ -211,13 +211,13 @@ def test_who_has_nothing_to_do_leaves_the_way_at_once() -> None:
     free = corridor()
     comes, idle = puppet(0, 2.0, 0.5, (7.5, 0.5)), puppet(1, 4.0, 0.5)
     rule = RightOfWay(free, [comes, idle])
-    rule.update()
+    decide(rule)
     assert comes.aside is None
     assert idle.aside is not None
     assert len(idle.aside)
     assert distance_to_path(idle.aside[-1], comes.path) >= AVOIDANCE.aside_share * AVOIDANCE.aside_m[0]
     idle.xz = idle.aside[-1].copy()
-    rule.update()
+    decide(rule)
     assert idle.aside is None  # it is out of the way
 
 
@@ -226,7 +226,7 @@ def test_who_is_not_on_the_way_stays() -> None:
     comes, idle, behind = puppet(0, 2.0, 0.5, (3.0, 0.5)), puppet(1, 6.0, 0.5), puppet(2, 1.0, 0.5)
     rule = RightOfWay(free, [comes, idle, behind])
     for _ in range(2 * AVOIDANCE.held_up_steps):
-        rule.update()
+        decide(rule)
         assert idle.aside is None
         assert behind.aside is None
 
@@ -237,19 +237,19 @@ def test_two_who_meet_in_a_corridor_agree_on_one(carrying: tuple[int, ...], firs
     both = puppet(0, 3.2, 0.5, (7.5, 0.5)), puppet(1, 4.2, 0.5, (0.2, 0.5))
     rule = RightOfWay(corridor(), both)
     for _ in range(AVOIDANCE.held_up_steps - 1):
-        rule.update(carrying)
+        decide(rule, carrying)
         assert all(walker.aside is None for walker in both)  # they may get past each other
     for _ in range(3):
-        rule.update(carrying)
+        decide(rule, carrying)
     passes, other = both[first], both[1 - first]
     assert passes.aside is None
     assert other.aside is not None
     assert distance_to_path(other.aside[-1], passes.path) >= AVOIDANCE.aside_share * AVOIDANCE.aside_m[0]
     other.xz = other.aside[-1].copy()
-    rule.update(carrying)
+    decide(rule, carrying)
     assert other.aside is not None  # it stays there
     passes.xz, passes.path = passes.path[-1].copy(), NO_PATH
-    rule.update(carrying)
+    decide(rule, carrying)
     assert other.aside is None  # the other has passed: it goes on
 
 
@@ -258,7 +258,7 @@ def test_a_row_backs_out_together() -> None:
     free = corridor()
     comes, middle, last = puppet(0, 1.5, 0.5, (7.5, 0.5)), puppet(1, 2.6, 0.5), puppet(2, 3.3, 0.5)
     rule = RightOfWay(free, [comes, middle, last])
-    rule.update()
+    decide(rule)
     assert middle.aside is not None
     assert last.aside is not None
     ends = [puppet.aside[-1] for puppet in (middle, last)]  # type: ignore[index]
@@ -270,7 +270,7 @@ def test_in_a_dead_end_the_roles_are_exchanged() -> None:
     free = floor_of(shapely.box(0, -1.5, 2, 2.5), shapely.box(2, 0, 6, 1.0))
     comes, idle = puppet(0, 3.0, 0.5, (5.5, 0.5)), puppet(1, 4.5, 0.5)
     rule = RightOfWay(free, [comes, idle])
-    rule.update()
+    decide(rule)
     assert comes.aside is not None
     assert idle.aside is not None
     assert comes.aside[-1][0] < 2.5
@@ -285,11 +285,11 @@ def test_exchanged_roles_last_until_somebody_had_time_to_move() -> None:
     rule = RightOfWay(corridor(), both)
     steps = 0
     while any(walker.aside is None for walker in both):
-        rule.update()
+        decide(rule)
         steps += 1
         assert steps < 200
     for _ in range(AVOIDANCE.gives_up_steps - 1):
-        rule.update()
+        decide(rule)
         assert all(walker.aside is not None for walker in both)
 
 
@@ -298,7 +298,7 @@ def test_who_is_busy_is_not_asked() -> None:
     busy.yields = False
     rule = RightOfWay(corridor(), [comes, busy])
     for _ in range(2 * AVOIDANCE.held_up_steps):
-        rule.update()
+        decide(rule)
         assert busy.aside is None
 
 

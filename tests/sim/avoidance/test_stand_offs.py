@@ -26,7 +26,7 @@ from sim_kinematic.avoidance.yielding import NO_PATH, shut_off
 from sim_kinematic.policies.rearrange import Planner
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.recorder import simulate
-from tests.sim.avoidance.commands import Seen, neighbours
+from tests.sim.avoidance.commands import Seen, decide, neighbours
 from tests.sim.avoidance.test_right_of_way import floor_of
 
 
@@ -71,7 +71,7 @@ def face_to_face(free: FreeSpace, *, asks: bool = True) -> tuple[list[Figure], R
 
     def errand(number: int) -> TaskProgress:
         me = figures[number]
-        return TaskProgress(me.obeys, number, lambda: me.left_m, me.completed, me.obeys)
+        return TaskProgress(me.obeys, number, lambda: lambda left=me.left_m: left, me.completed, me.obeys)
 
     return figures, RightOfWay(free, figures, errand, asks=asks)
 
@@ -80,7 +80,7 @@ def far_apart_after(figures: list[Figure], rules: RightOfWay, steps: int) -> tup
     """The first step in which they are out of each other's way, -1 if none, and who was told to go in any step."""
     told, first = [False, False], -1
     for step in range(steps):
-        rules.update()
+        decide(rules)
         for figure in figures:
             told[figure.number] |= figure.aside is not None
             figure.go()
@@ -102,7 +102,7 @@ def test_one_is_sent_away_and_the_next_time_the_other(rooms: FreeSpace) -> None:
     figures, rules = face_to_face(rooms, asks=False)
     turns: list[int] = []
     for _ in range(4 * AVOIDANCE.stand_off_steps[0]):  # nobody goes, so one gives up and it is the other's turn
-        rules.update()
+        decide(rules)
         turns += [figure.number for figure in figures if figure.aside is not None and figure.number not in turns[-1:]]
     assert turns[:3] in ([0, 1, 0], [1, 0, 1])
 
@@ -115,7 +115,7 @@ def test_nobody_who_gets_on_is_sent_away(rooms: FreeSpace, how: str) -> None:
     for step in range(3 * AVOIDANCE.stand_off_steps[0]):
         figures[0].completed += how == "completes" and step % 50 == 49
         figures[0].left_m -= 0.02 * (how == "shortens its path")
-        rules.update()
+        decide(rules)
         assert all(figure.aside is None for figure in figures), step
 
 
@@ -125,7 +125,7 @@ def test_nobody_is_sent_away_by_who_is_driven_beside_their_way(rooms: FreeSpace)
     figures[1].obeys, figures[1].path, figures[1].xz = False, NO_PATH, np.array([4.4, 0.5])
     for step in range(150):
         figures[0].heading = 0.1 * step
-        rules.update()
+        decide(rules)
         assert figures[0].aside is None, step
 
 
@@ -134,14 +134,14 @@ def test_who_waits_for_who_is_driven_waits_until_the_way_is_open(rooms: FreeSpac
     me, driven = figures
     driven.obeys, driven.path, driven.xz = False, NO_PATH, np.array([5.25, 2.0])
     for step in range(3 * AVOIDANCE.refuge_steps):
-        rules.update()
+        decide(rules)
         me.go()
         me.path = np.array([me.xz, [9.0, 2.0]])
         assert me.aside is not None or step <= 2 * AVOIDANCE.held_off_steps
     assert math.dist(me.xz, driven.xz) > AVOIDANCE.stand_off_m
     driven.xz = np.array([7.0, 3.5])
     for _ in range(AVOIDANCE.looks_steps):
-        rules.update()
+        decide(rules)
     assert me.aside is None
 
 
@@ -151,7 +151,7 @@ def test_who_is_turned_away_chooses_anew_wherever_the_other_stops(rooms: FreeSpa
     driven.obeys, driven.path, driven.xz = False, NO_PATH, np.array([5.25, 2.0])
     chose: list[int] = []
     for step in range(200):
-        rules.update()
+        decide(rules)
         if me.turned_away:
             chose.append(step)
         me.turned_away = False
@@ -178,7 +178,7 @@ def fled_to_refuge(free: FreeSpace) -> tuple[Figure, Figure, RightOfWay]:
     me, driven = figures
     driven.obeys, driven.path, driven.xz = False, NO_PATH, np.array([5.25, 2.0])
     for _ in range(200):
-        rules.update()
+        decide(rules)
         me.turned_away = False
         me.go()
         me.path = np.array([me.xz, [9.0, 2.0]])
@@ -194,7 +194,7 @@ def test_who_flees_does_not_stop_at_every_stop_of_who_comes_after(rooms: FreeSpa
     driven.obeys, driven.path, driven.xz = False, NO_PATH, np.array([5.25, 2.0])
     times = 0
     for step in range(150):
-        rules.update()
+        decide(rules)
         times += me.turned_away
         me.turned_away = False
         assert times <= 1 or (me.aside is not None and not len(me.aside)), step
@@ -214,7 +214,7 @@ def test_nobody_turns_round_on_the_way_to_a_refuge_towards_who_comes_on() -> Non
     fled = False
     for step in range(260):
         me.path = np.array([me.xz, [12.3, 1.2]])
-        rules.update()
+        decide(rules)
         fled |= me.aside is not None and len(me.aside) > 0
         if fled and driven.xz[0] > 8.0:
             assert me.aside is not None, step
@@ -229,7 +229,7 @@ def test_who_waits_in_a_refuge_follows_who_leaves(rooms: FreeSpace) -> None:
     me, driven, rules = fled_to_refuge(rooms)
     for _ in range(20):
         driven.xz = driven.xz + np.array([0.03, 0.0])  # still in the doorway
-        rules.update()
+        decide(rules)
         if me.aside is None:
             break
     assert me.aside is None
@@ -241,12 +241,12 @@ def test_who_leaves_a_refuge_has_time_to_get_past(rooms: FreeSpace) -> None:
     me, driven, rules = fled_to_refuge(rooms)
     driven.xz = me.xz + np.array([1.9, 1.9])  # in the open
     for _ in range(2 * AVOIDANCE.looks_steps + 1):
-        rules.update()
+        decide(rules)
     assert me.aside is None
     driven.xz = me.xz + np.array([1.2, 1.2])
     for step in range(AVOIDANCE.stand_off_steps[1] - AVOIDANCE.looks_steps):
         me.path, me.heading = np.array([me.xz, [4.5, 0.5]]), me.heading + 0.1
-        rules.update()
+        decide(rules)
         assert me.aside is None, step
 
 
@@ -261,7 +261,7 @@ def test_who_steps_back_to_let_another_out_stays_there_until_they_are(rooms: Fre
     comes.path = np.array([comes.xz, [9.9, 3.0]])
     encounter = rules._stand_offs.of(0, 1)  # type: ignore[union-attr]
     encounter.steps = AVOIDANCE.stand_off_steps[0]
-    rules.update()
+    decide(rules)
     assert cornered.aside is not None
     assert len(cornered.aside)
     assert comes.aside is not None
@@ -273,7 +273,7 @@ def test_who_flees_goes_on_where_the_other_comes_near_their_refuge(rooms: FreeSp
     was = me.xz.copy()
     driven.xz = was + np.array([1.5, 0.0])
     for _ in range(150):
-        rules.update()
+        decide(rules)
         me.turned_away = False
         me.path = np.array([me.xz, [9.0, 2.0]])
         me.go()
@@ -293,7 +293,7 @@ def test_nobody_turns_back_before_they_are_out_of_reach_of_whom_they_flee() -> N
     rules._requests[0] = right_of_way._Request(1, np.array([[2.0, 1.5]]), stays_steps=math.inf, seen=driven.xz.copy())
     for _ in range(60):
         me.path = np.array([me.xz, [11.0, 1.5]])
-        rules.update()
+        decide(rules)
         assert me.aside is not None or math.dist(me.xz, driven.xz) >= AVOIDANCE.stand_off_m
         if me.aside is None:
             return
@@ -309,7 +309,7 @@ def test_who_waits_for_who_is_driven_waits_once(rooms: FreeSpace) -> None:
     for step in range(AVOIDANCE.waits_steps + 40):
         me.path = np.array([me.xz, [9.0, 2.0]])
         me.left_m -= 1.2 * (step == 30)
-        rules.update()
+        decide(rules)
         if me.aside is not None and len(me.aside):
             return
     raise AssertionError("they still wait")
@@ -324,7 +324,7 @@ def test_who_stands_against_whom_they_flee_goes_on_only_from_some_way_off() -> N
     flees = False
     for _ in range(150):
         me.path = np.array([me.xz, [9.0, 2.0]])
-        rules.update()
+        decide(rules)
         assert me.aside is not None or not flees
         flees |= me.aside is not None
         me.go(0.01)
@@ -344,7 +344,7 @@ def test_nobody_steps_aside_to_where_the_other_is_about_to_walk(rooms: FreeSpace
     """Who stood in a doorway went to meet the one who wanted to get through it: there the nearest place was."""
     comes, stands = np.array([3.4, 2.0]), np.array([5.0, 2.0])
     figures = [Figure(0, comes, np.array([comes, [9.0, 2.0]])), Figure(1, stands)]
-    RightOfWay(rooms, figures).update()
+    decide(RightOfWay(rooms, figures))
     aside = figures[1].aside
     assert aside is not None
     assert aside[-1][0] > 5.5

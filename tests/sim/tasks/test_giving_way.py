@@ -12,14 +12,19 @@ import h3data
 from h3data.bodies.people.kernels.planted import SPEED
 from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
+from sim_kinematic.agents import giving_way
+from sim_kinematic.agents.robots.driving import RobotDriver
 from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.stand_offs import TaskProgress
+from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.policies.rearrange import Chooser
 from sim_kinematic.policies.views import CloseView, RearrangeView
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.codec import rules_from_json, rules_to_json
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.tasks.recorder import run
+from sim_kinematic.tasks.recorder import run, simulate
+from sim_kinematic.tasks.skills.household import Household
 from tests.simulated import REARRANGE, rearrange_episode
 
 HABITAT = RearrangeSpec(robot=BaseSpec(slide="habitat"), human=WalkerSpec(), reward="habitat")
@@ -125,3 +130,24 @@ def test_a_person_who_is_done_leaves_the_doorway(tmp_path: Path) -> None:
         "rearrange", tmp_path / "ds", scenes="h3-homes/test", policies="complement", partners="both", episodes=1, seed=4
     )
     assert h3data.open(tmp_path / "ds")[0].episode.info["ended"] == "success"
+
+
+def test_what_is_kept_of_agents_who_stand_changes_nothing(
+    home: Scene, free: FreeSpace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Roots, contact and progress are kept until somebody moves or acts otherwise: worked out anew they are the same."""
+    episode = rearrange_episode(home, seed=2, free=free)
+    kept = simulate(REARRANGE, episode)
+    errand = Household.errand
+
+    def anew(team: Household, number: int) -> TaskProgress:
+        team._errands.clear()
+        return errand(team, number)
+
+    monkeypatch.setattr(Household, "errand", anew)
+    monkeypatch.setattr(giving_way, "_is_same", lambda was, now: False)
+    pose = property(lambda robot: root_pose(robot.robot, robot.xz, robot.heading, robot.free))
+    monkeypatch.setattr(RobotDriver, "pose", pose)
+    again = simulate(REARRANGE, episode)
+    for name, values in kept.columns.items():
+        np.testing.assert_array_equal(values, again.columns[name], err_msg=name)
