@@ -16,6 +16,7 @@ from h3data.errors import InputError
 from h3data.geometry import normalized
 from h3data.kernels import kernel, kernel_part
 from h3data.render.raster.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
+from h3data.render.raster.raster_simd import count_trailing_zeros
 from h3data.render.shade.blockers import (
     NO_BLOCKERS,
     TILE_X,
@@ -44,6 +45,8 @@ from h3data.render.shade.shading_simd import (
     RAY,
     TONE_LIMIT,
     TONE_SIZE,
+    alike_words,
+    copy_words,
     equal_words,
     even_nearness,
     gloss_block,
@@ -255,6 +258,7 @@ def _shade_image(
     near_at, owners_at = np.uintp(near.ctypes.data), np.uintp(owners.ctypes.data)
     strip_at, strip_bytes = np.uintp(strip.ctypes.data), np.uintp(strip.shape[1] * 4)
     words, axes = target.words, view.axes.copy()
+    words_at = np.uintp(words.ctypes.data)
     if view.parallel:  # all rays have the same direction
         axes[:, :2] = 0
     linear, byte_of_level = tables
@@ -272,8 +276,8 @@ def _shade_image(
         if fine:
             _fine_row_words(geometry, surface, target, patches, y, row, first, last)
         else:
-            for x in range(first, last):  # by element: to copy slices, numba compiles an error text for 2 s
-                row[x] = words[y, x]
+            for x in range(first, last, 8):
+                copy_words(words_at + np.uintp(y * words.shape[1] + x) * np.uintp(4), row_at + np.uintp(x * 4))
         row[last] = _PADDING
         tile_row = y // TILE_Y * tiles_across
         blocked = len(cast.first) > 0 and cast.first[tile_row] < cast.first[tile_row + tiles_across]
@@ -434,40 +438,54 @@ def _fine_row_words(geometry, surface, target, patches, y, row, first, last):
 
     A word is that of one of the four samples if they show one surface, else `_MIXED`.
     """
-    words, inv_z = target.words, target.inv_z
-    for x in range(first, last):
-        word = words[2 * y, 2 * x]
-        row[x] = word
-        right, lower, both = words[2 * y, 2 * x + 1], words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]
-        if word == right and word == lower and word == both:
-            continue
-        row[x] = _MIXED
-        # the background has no triangle whose patch could be compared
-        if word < 0 or right < 0 or lower < 0 or both < 0:
-            continue
-        near, other, third, fourth = (
-            inv_z[2 * y, 2 * x],
-            inv_z[2 * y, 2 * x + 1],
-            inv_z[2 * y + 1, 2 * x],
-            inv_z[2 * y + 1, 2 * x + 1],
-        )
-        nearest, farthest = max(max(near, other), max(third, fourth)), min(min(near, other), min(third, fourth))
-        if nearest - farthest > _SMOOTH_DEPTH * nearest:
-            continue
-        instance, patch = target.draws[word >> 7, INSTANCE], _patch_of(geometry, surface, target, patches, word)
-        smooth = True
-        for more in (right, lower, both):
-            smooth &= (target.draws[more >> 7, INSTANCE] == instance) & (
-                _patch_of(geometry, surface, target, patches, more) == patch
-            )
-        if smooth:
+    # single arrays, because numba counts references to each array of a tuple at each call
+    words, inv_z, draws = target.words, target.inv_z, target.draws
+    packets, faces = geometry.cluster_packets, surface.packet_faces
+    words_at, row_bytes = np.uintp(words.ctypes.data), np.uintp(words.shape[1] * 4)
+    words_at, row_at = words_at + np.uintp(2 * y) * row_bytes, np.uintp(row.ctypes.data)
+    x = first
+    while x < last:
+        if x + 8 <= last:
+            many = 8
+            unlike = alike_words(words_at + np.uintp(x * 8), row_bytes, row_at + np.uintp(x * 4))
+        else:  # one by one, as there is nothing to read beyond the last row
+            many, word = 1, words[2 * y, 2 * x]
             row[x] = word
+            right, lower, both = words[2 * y, 2 * x + 1], words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]
+            unlike = np.int32(not (word == right and word == lower and word == both))
+        while unlike:
+            k = x + count_trailing_zeros(unlike)
+            unlike &= unlike - 1
+            word = row[k]
+            row[k] = _MIXED
+            right, lower, both = words[2 * y, 2 * k + 1], words[2 * y + 1, 2 * k], words[2 * y + 1, 2 * k + 1]
+            # the background has no triangle whose patch could be compared
+            if word < 0 or right < 0 or lower < 0 or both < 0:
+                continue
+            near, other, third, fourth = (
+                inv_z[2 * y, 2 * k],
+                inv_z[2 * y, 2 * k + 1],
+                inv_z[2 * y + 1, 2 * k],
+                inv_z[2 * y + 1, 2 * k + 1],
+            )
+            nearest, farthest = max(max(near, other), max(third, fourth)), min(min(near, other), min(third, fourth))
+            if nearest - farthest > _SMOOTH_DEPTH * nearest:
+                continue
+            instance, patch = draws[word >> 7, INSTANCE], _patch_of(packets, faces, draws, patches, word)
+            smooth = True
+            for more in (right, lower, both):
+                smooth &= (draws[more >> 7, INSTANCE] == instance) & (
+                    _patch_of(packets, faces, draws, patches, more) == patch
+                )
+            if smooth:
+                row[k] = word
+        x += many
 
 
 @kernel_part(forceinline=True)
-def _patch_of(geometry, surface, target, patches, word):
-    packet = geometry.cluster_packets[target.draws[word >> 7, CLUSTER], 0] + ((word & 127) >> 3)
-    return patches[surface.packet_faces[packet, word & 7]]
+def _patch_of(packets, faces, draws, patches, word):
+    packet = packets[draws[word >> 7, CLUSTER], 0] + ((word & 127) >> 3)
+    return patches[faces[packet, word & 7]]
 
 
 @kernel_part()
