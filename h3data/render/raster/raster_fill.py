@@ -23,7 +23,6 @@ from h3data.render.raster.raster_simd import (
     Y0,
     Y1,
     blend_block,
-    blend_exact_block,
     fetch_ahead,
 )
 
@@ -249,6 +248,7 @@ def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
         return
     last = float(x1 - x0)
     inverse0, inverse1, inverse2 = -1 / d0, -1 / d1, -1 / d2
+    f0, f1, f2, fw = np.float32(d0), np.float32(d1), np.float32(d2), np.float32(dw)
     row, further = np.uintp((y0 * stride + x0) * 4), np.uintp(_ROWS_AHEAD * stride * 4)
     for _ in range(y0, y1 + 1):
         low, high = cut_exact(0.0, last, e0, d0, inverse0)
@@ -261,8 +261,18 @@ def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
                 # the buffers of a large image do not fit the caches, and each row begins on another page
                 fetch_ahead(inv_z_at + offset + further)
                 fetch_ahead(words_at + offset + further)
-                blend_exact_block(
-                    inv_z_at + offset, words_at + offset, e0, e1, e2, inv_z, d0, d1, d2, dw, x, np.int32(word)
+                blend_block(
+                    inv_z_at + offset,
+                    words_at + offset,
+                    np.float32(e0 + d0 * x),
+                    np.float32(e1 + d1 * x),
+                    np.float32(e2 + d2 * x),
+                    np.float32(inv_z + dw * x),
+                    f0,
+                    f1,
+                    f2,
+                    fw,
+                    np.int32(word),
                 )
                 x += 8
         e0 += c0

@@ -8,7 +8,6 @@ from llvmlite import ir
 from numba import types
 
 from h3data.kernels.vectors import (
-    FLOAT,
     INT,
     INT8,
     LANES,
@@ -73,52 +72,25 @@ def tile_minimum(typing_context, address, row_bytes):
 _f, _p, _i = types.float32, types.uintp, types.int32
 
 
-def _blend(b: Any, inv_z_at: Any, word_at: Any, starts: list[Vec], steps: list[Vec], word: Any) -> None:
-    """Emit the code of a block, as `blend_block` describes."""
-    edge0, edge1, edge2, nearness = (fma(step, lanes(b), start) for start, step in zip(starts, steps, strict=True))
-    old = Vec(b, load(b, inv_z_at))
-    old_words = load(b, word_at, 0, INT8)
-    inside = edge0.minimum(edge1).minimum(edge2).compare(">=", 0.0)
-    keep = (inside & nearness.compare(">", old)).value
-    store(b, opaque(b, b.select(keep, nearness.value, old.value)), inv_z_at)
-    store(b, opaque(b, b.select(keep, splat(b, word, INT8), old_words)), word_at)
-
-
 @intrinsic
 def blend_block(typing_context, inv_z_at, word_at, e0, e1, e2, inv_z, e0_dx, e1_dx, e2_dx, inv_z_dx, word):
     """Write nearness and word of 8 pixels in a row where no edge value is negative and nearness exceeds the buffer's."""
 
     def codegen(context, builder, signature, arguments):
         inv_z_at, word_at, *values, word = arguments
-        starts, steps = ([Vec(builder, splat(builder, v)) for v in some] for some in (values[:4], values[4:]))
-        _blend(builder, inv_z_at, word_at, starts, steps, word)
+        starts = [Vec(builder, splat(builder, v)) for v in values[:4]]
+        steps = [Vec(builder, splat(builder, v)) for v in values[4:]]
+        lane = lanes(builder)
+        edge0, edge1, edge2, nearness = (fma(step, lane, start) for start, step in zip(starts, steps, strict=True))
+        old = Vec(builder, load(builder, inv_z_at))
+        old_words = load(builder, word_at, 0, INT8)
+        inside = edge0.minimum(edge1).minimum(edge2).compare(">=", 0.0)
+        keep = (inside & nearness.compare(">", old)).value
+        store(builder, opaque(builder, builder.select(keep, nearness.value, old.value)), inv_z_at)
+        store(builder, opaque(builder, builder.select(keep, splat(builder, word, INT8), old_words)), word_at)
         return context.get_dummy_value()
 
     return types.void(_p, _p, _f, _f, _f, _f, _f, _f, _f, _f, _i), codegen
-
-
-@intrinsic
-def blend_exact_block(typing_context, inv_z_at, word_at, e0, e1, e2, inv_z, e0_dx, e1_dx, e2_dx, inv_z_dx, x, word):
-    """Do what `blend_block` does from column ``x`` on, for values in double precision at column 0."""
-
-    def codegen(context, builder, signature, arguments):
-        inv_z_at, word_at, *values, x, word = arguments
-        four, numbers = ir.VectorType(ir.DoubleType(), 4), []
-        for some in (values[:4], values[4:], [builder.sitofp(x, ir.DoubleType())] * 4):
-            numbers.append(ir.Constant(four, ir.Undefined))
-            for k, value in enumerate(some):
-                numbers[-1] = builder.insert_element(numbers[-1], value, ir.Constant(INT, k))
-        # all four at once, also when they are rounded to float32
-        at_x = builder.fadd(numbers[0], builder.fmul(numbers[1], numbers[2]))
-        starts, steps = (
-            [Vec(builder, splat(builder, builder.extract_element(rounded, ir.Constant(INT, k)))) for k in range(4)]
-            for rounded in (builder.fptrunc(v, ir.VectorType(FLOAT, 4)) for v in (at_x, numbers[1]))
-        )
-        _blend(builder, inv_z_at, word_at, starts, steps, word)
-        return context.get_dummy_value()
-
-    d = types.float64
-    return types.void(_p, _p, d, d, d, d, d, d, d, d, types.int64, _i), codegen
 
 
 @intrinsic
