@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import normalized
 from h3data.kernels import kernel, kernel_part
+from h3data.render.ffv1 import copy
 from h3data.render.raster.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
 from h3data.render.raster.raster_simd import count_trailing_zeros
 from h3data.render.shade.blockers import (
@@ -46,7 +47,6 @@ from h3data.render.shade.shading_simd import (
     TONE_LIMIT,
     TONE_SIZE,
     alike_words,
-    copy_words,
     equal_words,
     even_nearness,
     gloss_block,
@@ -254,11 +254,11 @@ def _shade_image(
     # samples at edges, of one tile of capsules, until there are eight: levels and normals; 1/z and owner; pixel and weight
     waiting, behind, places = np.zeros((6, 8), np.int32), np.zeros((2, 8), np.float32), np.zeros((2, 8), np.int32)
     row_at, inv_z_at = np.uintp(row.ctypes.data), np.uintp(target.inv_z.ctypes.data)
+    words_at = np.uintp(target.words.ctypes.data)
     inv_z_bytes = np.uintp(target.inv_z.shape[1] * 4)
     near_at, owners_at = np.uintp(near.ctypes.data), np.uintp(owners.ctypes.data)
     strip_at, strip_bytes = np.uintp(strip.ctypes.data), np.uintp(strip.shape[1] * 4)
     words, axes = target.words, view.axes.copy()
-    words_at = np.uintp(words.ctypes.data)
     if view.parallel:  # all rays have the same direction
         axes[:, :2] = 0
     linear, byte_of_level = tables
@@ -276,8 +276,8 @@ def _shade_image(
         if fine:
             _fine_row_words(geometry, surface, target, patches, y, row, first, last)
         else:
-            for x in range(first, last, 8):
-                copy_words(words_at + np.uintp(y * words.shape[1] + x) * np.uintp(4), row_at + np.uintp(x * 4))
+            at = np.uintp(y * words.shape[1] + first) * np.uintp(4)
+            copy(words_at + at, row_at + np.uintp(4 * first), np.uintp(4 * (last - first)))
         row[last] = _PADDING
         tile_row = y // TILE_Y * tiles_across
         blocked = len(cast.first) > 0 and cast.first[tile_row] < cast.first[tile_row + tiles_across]
@@ -443,16 +443,10 @@ def _fine_row_words(geometry, surface, target, patches, y, row, first, last):
     packets, faces = geometry.cluster_packets, surface.packet_faces
     words_at, row_bytes = np.uintp(words.ctypes.data), np.uintp(words.shape[1] * 4)
     words_at, row_at = words_at + np.uintp(2 * y) * row_bytes, np.uintp(row.ctypes.data)
-    x = first
-    while x < last:
-        if x + 8 <= last:
-            many = 8
-            unlike = alike_words(words_at + np.uintp(x * 8), row_bytes, row_at + np.uintp(x * 4))
-        else:  # one by one, as there is nothing to read beyond the last row
-            many, word = 1, words[2 * y, 2 * x]
-            row[x] = word
-            right, lower, both = words[2 * y, 2 * x + 1], words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]
-            unlike = np.int32(not (word == right and word == lower and word == both))
+    for start in range(first, last, 8):
+        # the last eight begin earlier, as there is nothing to read beyond the last row
+        x = max(min(start, last - 8), 0)
+        unlike = alike_words(words_at + np.uintp(x * 8), row_bytes, row_at + np.uintp(x * 4))
         while unlike:
             k = x + count_trailing_zeros(unlike)
             unlike &= unlike - 1
@@ -479,7 +473,6 @@ def _fine_row_words(geometry, surface, target, patches, y, row, first, last):
                 )
             if smooth:
                 row[k] = word
-        x += many
 
 
 @kernel_part(forceinline=True)

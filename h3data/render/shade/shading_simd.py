@@ -277,17 +277,6 @@ def equal_words(typing_context, address, word):
 
 
 @intrinsic
-def copy_words(typing_context, source_at, target_at):
-    """Copy 8 words."""
-
-    def codegen(context, b, signature, arguments):
-        store(b, load(b, arguments[0], 0, INT8), arguments[1])
-        return context.get_dummy_value()
-
-    return types.void(types.uintp, types.uintp), codegen
-
-
-@intrinsic
 def alike_words(typing_context, words_at, row_bytes, out_at):
     """Store the words of the upper left samples of 8 pixels of four samples; return a bit for each pixel with other words."""
 
