@@ -89,10 +89,8 @@ def draw_clusters(geometry, cut_first, view, target, order):
         tile_x0, tile_x1 = target.draws[draw, TILE_X0], target.draws[draw, TILE_X1]
         tile_y0, tile_y1 = target.draws[draw, TILE_Y0], target.draws[draw, TILE_Y1]
         near = target.near[draw]
-        if cuts and near <= np.float32(view.near):
-            continue  # left to `draw_cut`
-        if near > beyond:
-            continue
+        if (cuts and near <= np.float32(view.near)) or near > beyond:
+            continue  # the former are left to `draw_cut`
         if cuts_out and cut_first[cluster] >= 0:
             continue  # left to `draw_cutouts`
         if near > 0 or view.parallel:

@@ -439,8 +439,7 @@ def _fine_row_words(geometry, surface, target, patches, y, row, first, last):
     A word is that of one of the four samples if they show one surface, else `_MIXED`.
     """
     # single arrays, because numba counts references to each array of a tuple at each call
-    words, inv_z, draws = target.words, target.inv_z, target.draws
-    packets, faces = geometry.cluster_packets, surface.packet_faces
+    words, inv_z, draws, packets = target.words, target.inv_z, target.draws, geometry.cluster_packets
     words_at, row_bytes = np.uintp(words.ctypes.data), np.uintp(words.shape[1] * 4)
     words_at, row_at = words_at + np.uintp(2 * y) * row_bytes, np.uintp(row.ctypes.data)
     for start in range(first, last, 8):
@@ -465,11 +464,11 @@ def _fine_row_words(geometry, surface, target, patches, y, row, first, last):
             nearest, farthest = max(max(near, other), max(third, fourth)), min(min(near, other), min(third, fourth))
             if nearest - farthest > _SMOOTH_DEPTH * nearest:
                 continue
-            instance, patch = draws[word >> 7, INSTANCE], _patch_of(packets, faces, draws, patches, word)
+            instance, patch = draws[word >> 7, INSTANCE], _patch_of(packets, surface.packet_faces, draws, patches, word)
             smooth = True
             for more in (right, lower, both):
                 smooth &= (draws[more >> 7, INSTANCE] == instance) & (
-                    _patch_of(packets, faces, draws, patches, more) == patch
+                    _patch_of(packets, surface.packet_faces, draws, patches, more) == patch
                 )
             if smooth:
                 row[k] = word
