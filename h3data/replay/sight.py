@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,23 +61,27 @@ class Sight:
             matrices = np.stack([self.replay.matrices(int(index), rows)[0] for index in self._moving])
             self._renderer.set_transforms(self._moving, matrices)
 
-    def around(self, point: Array) -> NDArray[np.float64]:
-        """Return a panorama from ``point`` [3]: z-depth [`SIDES`, `SIDE_PX`, `SIDE_PX`] [m], inf = no surface."""
+    def around(self, point: Array, far_m: float) -> NDArray[np.float64]:
+        """Return a panorama from ``point`` [3]: z-depth [`SIDES`, `SIDE_PX`, `SIDE_PX`] [m].
+
+        It is inf where there is no surface nearer than ``far_m`` [m].
+        """
         poses = np.tile(np.eye(4), (SIDES, 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = self._turns, point
-        cameras = [self._side.at(pose) for pose in poses]
+        cameras = [replace(self._side, pose=pose, far=far_m) for pose in poses]
         return _with_inf(self._renderer.render_batch(cameras, outputs=("depth",))["depth"])
 
     def free_ahead(self, point: Array, direction: Array, max_m: float) -> float:
         """Return the length of the free line from ``point`` [3] along the unit ``direction`` [3], at most ``max_m`` [m]."""
-        camera = self._ahead.at(look_at(point, point + direction))
+        camera = replace(self._ahead, pose=look_at(point, point + direction), far=reach_of(max_m))
         depth = _with_inf(self._renderer.render(camera, outputs=("depth",))["depth"])
         return float(self._beam.free(depth.reshape(1, -1), max_m)[0])
 
-    def sees(self, panorama: NDArray[np.float64], point: Array, others: Array) -> NDArray[np.bool_]:
-        """Return whether points ``others`` [N, 3] are visible from ``point`` [3], from the panorama there (`around`)."""
+    def sees(self, point: Array, others: Array) -> NDArray[np.bool_]:
+        """Return whether points ``others`` [N, 3] are visible from ``point`` [3]."""
         side, local = self._turned(others - point)
         u, v = np.clip(self._pixels(local), 0, SIDE_PX - 1).T
+        panorama = self.around(point, float(local[:, 2].max()) + 0.1)
         # 10 cm of slack: a point on a surface would hide itself
         return panorama[side, v, u] > local[:, 2] - 0.1
 
@@ -87,6 +93,12 @@ class Sight:
     def _pixels(self, local: NDArray[np.float64]) -> NDArray[np.intp]:
         """Return the pixels [N, 2] of points [N, 3] in the frame of a panorama camera."""
         return np.floor(np.nan_to_num(self._side.to_pixels(local))).astype(np.intp)
+
+
+def reach_of(max_m: float) -> float:
+    """Return the z-depth [m] of a panorama beyond which nothing obstructs lines of ``max_m`` [m]."""
+    # surfaces that count lie up to 4 degrees off a line, so their depth is hardly larger than their distance along it
+    return 1.01 * (max_m + CLEARANCE_M)
 
 
 class Fan:

@@ -19,7 +19,7 @@ from h3data.geometry import Array, heading_direction, heading_from_quat, normali
 from h3data.render import Camera, look_at, pinhole
 from h3data.replay.records import CameraTrack, forward_fill
 from h3data.replay.replay import Replay
-from h3data.replay.sight import Fan, Sight
+from h3data.replay.sight import Fan, Sight, reach_of
 
 
 @dataclass(frozen=True)
@@ -192,17 +192,17 @@ def _follow(
     azimuth = np.tile(np.arange(FRAMING.directions) * (2 * np.pi / FRAMING.directions), len(FRAMING.elevations_deg))
     elevation = np.repeat(np.radians(FRAMING.elevations_deg), FRAMING.directions)
     directions = _direction(azimuth, elevation)
-    fan = Fan(sight, directions)
+    fan, far_m = Fan(sight, directions), reach_of(FRAMING.boom_m)
     boom, score = np.empty((2, len(keys), len(directions)))
     for row, key in enumerate(keys):
         sight.at(int(steps[key]))
-        boom[row] = fan.free(sight.around(pivot[key]), FRAMING.boom_m)
+        boom[row] = fan.free(sight.around(pivot[key], far_m), FRAMING.boom_m)
         away = normalized((pivot - watched)[key, [0, 2]]) if two else (pivot - watched)[key, [0, 2]]
         obstructed = _first_body(pivot[key], directions, boom[row], bodies[key]) > 0
         score[row] = 0.5 * directions[:, [0, 2]] @ away - 2.0 * obstructed
         if two:
             eyes = pivot[key] + directions * boom[row, :, None]
-            score[row] += sight.sees(sight.around(watched[key]), watched[key], eyes)
+            score[row] += sight.sees(watched[key], eyes)
             score[row] -= _lost(_angle(-directions, watched[key] - eyes)) * (1 - _far(pivot[key], watched[key]))
     # the agent moves between keys: a direction has to be free at its neighbours too
     boom = minimum_filter1d(boom, 3, axis=0, mode="nearest")

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError
+from h3data.geometry import normalized
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.recording.assets.library import AssetLibrary
 from h3data.replay import CameraTrack, Replay, camera_at, camera_names, camera_track
+from h3data.replay.sight import Fan, Sight, reach_of
 from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_habitat.hitl.paper_logs import read_hitl_log
 from h3data_habitat.hitl.sessions import read_hitl_episode
@@ -268,3 +270,16 @@ def test_one_step_of_a_long_recording_is_found_from_those_around_it() -> None:
     poses = camera_track(replay, "third_person").poses
     for step in (0, 250, 400, 655, 899):
         np.testing.assert_allclose(camera_at(replay, "third_person", step).pose, poses[step], atol=1e-3)
+
+
+def test_what_is_beyond_the_boom_changes_no_free_line() -> None:
+    around = [((3.0 * np.cos(a), 1.5, 3.0 * np.sin(a)), k) for k, a in enumerate(np.linspace(0, 6, 9))]
+    bodies = tuple(box(f"post_{k}", center, (0.3 + 0.2 * k, 3.0, 0.3)) for center, k in around)
+    sight = Sight(robot_among(bodies, np.zeros((2, 2))))
+    rng = np.random.default_rng(2)
+    directions = normalized(rng.uniform([-1, -0.6, -1], [1, 0.6, 1], (64, 3)) + 1e-3)
+    fan = Fan(sight, directions)
+    for reach_m in rng.uniform(1.5, 4.0, 8):
+        whole, near = (sight.around(np.array([0.0, 1.2, 0.0]), far) for far in (np.inf, reach_of(reach_m)))
+        np.testing.assert_array_equal(fan.free(near, reach_m), fan.free(whole, reach_m))
+        assert np.isinf(near).sum() > np.isinf(whole).sum()

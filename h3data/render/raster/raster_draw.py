@@ -82,13 +82,15 @@ def draw_clusters(geometry, cut_first, view, target, order):
     corners = np.empty(9)
     cuts, cuts_out = has_near_plane(view), len(cut_first) > 0
     bounds, stale = target.tile_inv_z, target.tile_stale
+    # what is farther away is cut off at the end of the image, and hides nothing that is not
+    beyond = np.float32(view.far) * OCCLUSION_MARGIN
     for draw in order:
         instance, cluster = target.draws[draw, INSTANCE], target.draws[draw, CLUSTER]
         tile_x0, tile_x1 = target.draws[draw, TILE_X0], target.draws[draw, TILE_X1]
         tile_y0, tile_y1 = target.draws[draw, TILE_Y0], target.draws[draw, TILE_Y1]
         near = target.near[draw]
-        if cuts and near <= np.float32(view.near):
-            continue  # left to `draw_cut`
+        if (cuts and near <= np.float32(view.near)) or near > beyond:
+            continue  # the former are left to `draw_cut`
         if cuts_out and cut_first[cluster] >= 0:
             continue  # left to `draw_cutouts`
         if near > 0 or view.parallel:

@@ -31,7 +31,7 @@ from h3data.recording import Recording
 from h3data.render import look_at, pinhole
 from h3data.render.image_files import write_jpg
 from h3data.replay.replay import Replay
-from h3data.replay.sight import Fan, Sight
+from h3data.replay.sight import Fan, Sight, reach_of
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.driven.commands import HandOver, PersonCommand, Pick
 from sim_kinematic.agents.skills import Action
@@ -71,7 +71,7 @@ class Stage:
         free = np.full(len(self._rays), BOOM_M)
         for step, point in zip(steps, points, strict=True):
             self._sight.at(int(step))
-            free = np.minimum(free, self._fan.free(self._sight.around(point), BOOM_M))
+            free = np.minimum(free, self._fan.free(self._sight.around(point, reach_of(BOOM_M)), BOOM_M))
         yaw = np.arctan2(-self._rays[:, 2], self._rays[:, 0])
         best = int(np.argmax(np.minimum(free, BOOM_M) + 0.6 * np.cos(yaw - toward)))
         return self._rays[best] * max(float(free[best]), 0.5)
