@@ -214,7 +214,7 @@ class ChoreRoutine(Routine):
         self,
         scene: Scene,
         free: FreeSpace,
-        stops: Sequence[Stop],
+        stops: Sequence[Stop] | Callable[[int], Sequence[Stop]],
         body: Humanoid,
         *,
         start: NDArray[np.float64],
@@ -225,12 +225,13 @@ class ChoreRoutine(Routine):
         Args:
             scene: The home.
             free: Free floor of the home.
-            stops: Places, activities and durations [s].
+            stops: Places, activities and durations [s], or a function that returns those of a version of the rules.
             body: The person's body.
             start: Position (x, z) [2] [m] from which the person comes.
             number: Number of the agent; people with different numbers put their things at different spots.
         """
-        super().__init__(scene, free, stops, body)
+        self._choose = stops if callable(stops) else None
+        super().__init__(scene, free, stops(VERSION) if callable(stops) else stops, body)
         self._body, self._start, self._number = body, start, number
         self.use(CarryingHands((), (), body))
         self.follow(self.version)
@@ -248,7 +249,12 @@ class ChoreRoutine(Routine):
         self._work = hands
 
     def follow(self, version: int) -> ChoreRoutine:
-        """Plan the chores by a version of the rules; up to version 6, people also do chores through a wall."""
+        """Plan the chores by a version of the rules.
+
+        Up to version 6, people also do chores through a wall; up to version 7, they choose stops as if they did.
+        """
+        if self._choose is not None and (version > 7) != (self.version > 7):
+            self.stops = tuple(self._choose(version))
         self.version = version
         self.plans, self.own = dict[int, Chore | InputError](), dict[int, int]()
         things, held = list[Body](), ""
@@ -262,7 +268,7 @@ class ChoreRoutine(Routine):
                 continue
             try:
                 where = self._scene, self._free, self._body, stop, self._start, self._number
-                plan = planned(*where, tray=held == "tray", walls=version > VERSION)
+                plan = planned(*where, tray=held == "tray", walls=version > 6)
             except InputError as fault:
                 self.plans[k] = fault
                 continue
@@ -557,17 +563,27 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
     """
     scene, free, member = episode.scene, episode.free, episode.roster[number]
     body, start = member.body, episode.starts[number, :2]
-    stops = chosen_stops(episode, number, BREAKFAST, generator(episode.seed, "breakfast", world=number), KEPT)
-    if not stops:
-        raise SceneError(
-            f"{member.name} can have no breakfast in {scene.name}. Hint: choose a home that opens, such as medium-open:3.",
-            code="H3-TASK-089",
-        )
+
+    def stops(version: int) -> list[Stop]:
+        rng = generator(episode.seed, "breakfast", world=number)
+        chosen = chosen_stops(episode, number, BREAKFAST, rng, KEPT, version)
+        if not chosen:
+            raise SceneError(
+                f"{member.name} can have no breakfast in {scene.name}. Hint: choose a home that opens, such as medium-open:3.",
+                code="H3-TASK-089",
+            )
+        return chosen
+
     return ChoreRoutine(scene, free, stops, body, start=start, number=number)
 
 
 def chosen_stops(
-    episode: Any, number: int, parts: Sequence[Sequence[tuple[str, tuple[str, ...], float]]], rng: Any, kept: float
+    episode: Any,
+    number: int,
+    parts: Sequence[Sequence[tuple[str, tuple[str, ...], float]]],
+    rng: Any,
+    kept: float,
+    version: int,
 ) -> list[Stop]:
     """Return stops of an agent at random things of the home, without the parts that are impossible there.
 
@@ -577,6 +593,7 @@ def chosen_stops(
         parts: Parts as in `BREAKFAST`.
         rng: Random numbers.
         kept: Share of the parts that are not left out.
+        version: Version of the rules (`ChoreRoutine.follow`).
     """
     scene, free, body, start = episode.scene, episode.free, episode.roster[number].body, episode.starts[number, :2]
     things = dict[str, list[str]]()
@@ -594,7 +611,7 @@ def chosen_stops(
                 stop = Stop(there[k], activity, seconds)
                 try:
                     if activity in CHORES and activity not in UNPLANNED:
-                        planned(scene, free, body, stop, start, number, tray=tray)
+                        planned(scene, free, body, stop, start, number, tray=tray, walls=version > 7)
                 except InputError:
                     continue
                 chosen.append(stop)

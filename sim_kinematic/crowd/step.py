@@ -211,7 +211,24 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
 
 @kernel(error_model="numpy")
 def choose_velocity(
-    sdf, origin, cell, m, places, velocities, radii, body, stays, firsts, wx, wz, most, furniture, traits, forces, rules
+    sdf,
+    origin,
+    cell,
+    m,
+    places,
+    velocities,
+    radii,
+    body,
+    stays,
+    firsts,
+    company,
+    wx,
+    wz,
+    most,
+    furniture,
+    traits,
+    forces,
+    rules,
 ):
     """Return the velocity (x, z) [m/s] that person ``m`` chooses, given the wanted velocity ``(wx, wz)``.
 
@@ -226,6 +243,7 @@ def choose_velocity(
         body: Motion of the crowd's people (`follow`) [M, 4].
         stays: Stays of the people, as in `step_crowd` [M, 3]; people who are seated do not make way.
         firsts: Number of the person to whom each person gives way (`first_through`) [M]; -1: nobody.
+        company: Number of the group with which each person walks [M]; -1: none.
         wx: Wanted velocity along x [m/s].
         wz: Wanted velocity along z [m/s].
         most: Greatest speed [m/s].
@@ -316,7 +334,7 @@ def choose_velocity(
         if len(body) <= j < len(body) + furniture:
             ahead_s, jx, jz = rules[1], 0.0, 0.0
         else:
-            reach += rules[4]
+            reach += rules[23] if j < len(body) and company[m] >= 0 and company[j] == company[m] else rules[4]
             # who gives way is on the way out of the path
             if j < len(body) and firsts[j] == m and not forces:
                 ahead_s = rules[19]
@@ -557,6 +575,7 @@ def step_crowd(
             body,
             stays,
             firsts,
+            company,
             wx,
             wz,
             most,

@@ -291,14 +291,14 @@ def assigned_policies(
     result = []
     for k, member in enumerate(episode.roster):
         choice = _chosen_for(episode, k, new)
+        nobody = repeat_crowd(AssignedPolicy(None, named[k], member.kind), recording, member.name)
         if k in recorded:
-            result.append(AssignedPolicy(None, named[k], member.kind))
+            result.append(nobody)
             continue
         try:
             if choice is None:
                 with names_from_data():
-                    result.append(_policy(task, episode, k, named[k]))
-                repeat_crowd(result[-1], recording, member.name)
+                    result.append(repeat_crowd(_policy(task, episode, k, named[k]), recording, member.name))
             else:
                 result.append(_policy(task, episode, k, choice))
         except H3DataError as fault:
@@ -310,15 +310,22 @@ def assigned_policies(
                 raise InputError(
                     f"The recording's own {entry} is not at hand; name one with {entry}=. {fault}", code="H3-TASK-040"
                 ) from None
-            result.append(AssignedPolicy(None, named[k], member.kind))
+            result.append(nobody)
     return result
 
 
-def repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> None:
-    """Let a person of a crowd decide by the version of the rules that the recording holds for them."""
+def repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> AssignedPolicy:
+    """Return the policy of a person, who decides by the version of the rules that the recording holds for them.
+
+    Without one, it is the first version.
+    """
+    people = recording.episode.info.get("people")
+    facts = people.get(name) if isinstance(people, dict) else None
+    version = facts.get("version") if isinstance(facts, dict) else None
+    version = version if isinstance(version, int) else 1
     if isinstance(assigned.policy, CrowdPolicy):
-        people = recording.episode.info.get("people")
-        assigned.policy.repeat(people.get(name) if isinstance(people, dict) else None)
+        assigned.policy.repeat(version)
+    return assigned._replace(version=version)
 
 
 def _policy(task: Task, episode: Episode, number: int, choice: Any) -> AssignedPolicy:

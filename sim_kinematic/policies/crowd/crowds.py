@@ -39,6 +39,8 @@ class CrowdMember:
     """Version of the rules of the person."""
     hands: HandWork | None = None
     """State of the person's hands; None: they handle nothing."""
+    daily: bool = False
+    """Whether the person follows a routine."""
 
 
 class Moment(NamedTuple):
@@ -141,8 +143,8 @@ class Crowds:
                 stride=people[0].walker.stride,
                 # one for all crowds, so that people of two models do not sit down on one seat
                 places=self._places,
-                # by the rules of version 6, people with routines touched
-                version=min(5 if person.version > VERSION else person.version for person in people),
+                version=min(person.version for person in people),
+                daily=any(person.daily for person in people),
             )
             # people of other models and policies are obstacles that move
             own, discs = [number - robots for number in members], range(len(moment.radii))
@@ -176,7 +178,7 @@ class Crowds:
         state, w, body = self._world.state, self._row, self._world.roster[number].body
         person, root = state.people[number - len(state.robots)], root_pose(body, place, heading, member.free)
         where = member.free, place, heading, member.walker, person.arms[w]
-        person.hands[w], held = work.beside(*where) if member.version > VERSION else (work.lead, work.held)
+        person.hands[w], held = work.beside(*where) if member.version > 6 else (work.lead, work.held)
         # worlds that learners step hold neither doors nor things
         for k, position in work.joints.items() if state.joint_pos.shape[1] else ():
             state.joint_pos[w, k] = position
