@@ -15,7 +15,7 @@ from sim_kinematic.crowd.company import PASSING_M, standing_circle
 from sim_kinematic.crowd.errands import Errand, Guide, Motion, Station
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import ALONE, Role
-from sim_kinematic.crowd.step import SEATED, step_crowd, who_decides
+from sim_kinematic.crowd.step import ASKS, DECIDES, MOVES, SEATED, advance_crowd
 from sim_kinematic.crowd.traits import CrowdSpec, Traits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, StrideSpec
@@ -45,7 +45,7 @@ and nobody backs out (`Crowd._way`). Up to version 4, every place near a wall co
 more slowly. Up to version 5, and still with `social_force` or routines, they also give way to people who have passed them,
 and slow down for people who move away. Up to version 6, people with routines hold out what they carry also beside walls, do
 chores through walls, and take longer before they sit down; version 7 is only that of people with routines. Up to version 7,
-members of a walking group keep as far from each other as from anybody."""
+members of a walking group keep as far from each other as from anybody, and they still do with `social_force` or routines."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """Conditions for sitting down: distance from the place before the seat [m], speed [m/s], and distance to others'
 outlines below which people wait [m]."""
@@ -106,7 +106,8 @@ class Crowd:
         self._grid = free.sdf, free.origin, free.cell_m
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
         # with the shorter horizons of version 3, people block the way of walking groups and get too near to what they fear
-        wary = any(role.group or role.reaction != "regular" for role in roles or ())
+        self._reacts = any(role.reaction != "regular" for role in roles or ())
+        wary = self._reacts or any(role.group for role in roles or ())
         # with the smaller distances of version 6, people of social force touch, and people with routines
         constants = CrowdSpec.of_version(version, wary=wary, early=daily or model != "orca")
         self._forces, self._rules = model == "social_force", (spec or constants).numbers
@@ -158,43 +159,38 @@ class Crowd:
             of_robots: Number of discs that belong to robots.
             step: Number of the step.
         """
-        people = len(heading)
-        xz, radii[:people] = places[:people], self._traits[:, 3]
+        people, moved, self.new_events = len(heading), places.copy(), []
         if not self._began:
-            self._body[:, 0] = self._body[:, 3] = heading
-            self._meet(xz)
+            self._body[:, 3] = heading
+            self._meet(places[:people])
             self._began = True
-        self._body[:, 0] = heading
-        self.new_events = []
-        velocities = (places - before) / STEP_S
-        if self._free.entries(
-            who_decides,
-            xz,
-            self._paths,
-            self._counts,
-            self._best,
-            self._traits,
-            self._until,
-            step,
-            STEP_S,
-            ARRIVED_M + 1e-9,
-        ):
-            self._choose_goals(xz, step, places)
         # before the step: whoever differs after it has begun or ended a reaction
-        reacted, places = self._moods[:, 2].copy(), places.copy()
-        for m in list(self._busy):
-            self._move_busy(m, places, radii, step)
-        self._free.entries(
-            step_crowd,
+        reacted = self._moods[:, 2].copy() if self._reacts else self._moods[:, 2]
+        now = moved, places, before, heading, radii
+        # in most steps nobody decides or is at a station, and one call of the kernel is all
+        found = self._call(now, robots, of_robots, step, ASKS if self._busy else ASKS | MOVES)
+        if found == DECIDES:
+            self._choose_goals(places[:people], step, places)
+        if found != MOVES:
+            for m in list(self._busy):
+                self._move_busy(m, moved, radii, step)
+            self._call(now, robots, of_robots, step, MOVES)
+        for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if self._reacts else ():
+            self.new_events.append((m, "reacts" if self._moods[m, 2] else "reaction_over", self._roles[m].reaction, ""))
+        return moved[:people], self._body[:, 0].copy()
+
+    def _call(self, now: tuple[Array, ...], robots: Array, of_robots: int, step: int, does: int) -> int:
+        """Call `advance_crowd` with the present state of the people."""
+        found: int = self._free.entries(
+            advance_crowd,
             *self._grid,
-            places,
-            velocities,
-            radii,
+            *now,
             self._paths,
             self._counts,
             self._lengths,
             self._along,
             self._best,
+            self._until,
             self._claims,
             self._body,
             self._chosen,
@@ -211,10 +207,10 @@ class Crowd:
             self._limits,
             step,
             STEP_S,
+            ARRIVED_M + 1e-9,
+            does,
         )
-        for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if len(robots) else ():
-            self.new_events.append((m, "reacts" if self._moods[m, 2] else "reaction_over", self._roles[m].reaction, ""))
-        return places[:people], self._body[:, 0].copy()
+        return found
 
     def _move_busy(self, m: int, places: Array, radii: Array, step: int) -> None:
         """Move a person who is at a station by one step in ``places`` [N, 2], unless another agent is in the way."""
@@ -347,7 +343,8 @@ class Crowd:
         if not here.any() or distance_to_path(places[here], path).min() > PASSING_M:
             return path
         # by version 8, who is beside the first of their group before a passage does not squeeze past, but lets them go
-        behind = self._version > 7 and self._company[m] >= 0 and here[:people][self._company == self._company[m]].any()
+        own = here[:people][self._company == self._company[m]].any()
+        behind = self._version > 7 and not self._forces and self._company[m] >= 0 and own
         for around in AROUND_M[: 1 if behind else 2]:
             found = grid.flood(places[m], np.insert(places[here], 2, around, axis=1), goal=path[-1]).path_to(path[-1])
             if found is not None:

@@ -37,6 +37,8 @@ SEATED = 3.0
 BACK_M, START_M = 1.5, 0.1
 """Distance that people in a narrow place go back along their path to let others through, and distance from the start of
 the path within which they cannot go back [m]."""
+ASKS, MOVES, DECIDES = 1, 2, 4
+"""Parts of a step in `advance_crowd`: ask whether somebody decides, and move; and the answer that somebody decides."""
 STRIDE_M, NEAR_END_M, GROUP_S = 0.2, 0.1, 0.5
 """Distance by which feet and hands reach farther ahead and behind than sideways [m]; distance from the place of a person who
 stands within which they do not step back to it [m]; time in which forces of a group become velocities, the time constant of
@@ -589,3 +591,89 @@ def step_crowd(
         if stays[m, 2] == SEATED:
             continue
         follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
+
+
+@kernel(error_model="numpy")
+def advance_crowd(
+    sdf,
+    origin,
+    cell,
+    places,
+    now,
+    before,
+    heading,
+    radii,
+    paths,
+    counts,
+    lengths,
+    along,
+    best,
+    until,
+    claims,
+    body,
+    chosen,
+    stays,
+    company,
+    moods,
+    looks,
+    robots,
+    of_robots,
+    pace,
+    traits,
+    forces,
+    rules,
+    limits,
+    step,
+    dt,
+    arrived_m,
+    does,
+):
+    """Move all people of a crowd by one step, in place, unless somebody has to decide first.
+
+    The arguments are those of `who_decides` and `step_crowd`, and these:
+
+    Args:
+        now: Positions of all discs at the beginning of the step [N, 2] [m].
+        before: Positions one step earlier [N, 2] [m].
+        heading: Headings of the people [M] [rad].
+        does: Parts of the step, a sum of `ASKS` and `MOVES`.
+
+    Returns:
+        `DECIDES` if somebody has to decide, and nobody has moved; else `MOVES` if people have moved, or 0.
+    """
+    if does & ASKS:
+        for m in range(len(heading)):
+            body[m, 0], radii[m] = heading[m], traits[m, 3]
+        if who_decides(now, paths, counts, best, traits, until, step, dt, arrived_m):
+            return DECIDES
+    if does & MOVES:
+        step_crowd(
+            sdf,
+            origin,
+            cell,
+            places,
+            (now - before) / dt,
+            radii,
+            paths,
+            counts,
+            lengths,
+            along,
+            best,
+            claims,
+            body,
+            chosen,
+            stays,
+            company,
+            moods,
+            looks,
+            robots,
+            of_robots,
+            pace,
+            traits,
+            forces,
+            rules,
+            limits,
+            step,
+            dt,
+        )
+    return does & MOVES

@@ -43,6 +43,10 @@ class CrowdMember:
     """Whether the person follows a routine."""
 
 
+Rows = NDArray[np.intp] | slice
+"""Numbers of rows of an array, or a range of them."""
+
+
 class Moment(NamedTuple):
     """Places of all agents of W worlds, now and one step ago."""
 
@@ -102,8 +106,9 @@ class Crowds:
         self._world, self._row, self._step, self._moment = world, row, -1, moment
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
-        self._order: dict[CrowdModel, tuple[NDArray[np.intp] | slice, NDArray[np.intp] | slice]] = {}
-        """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others; and the first of these."""
+        self._order: dict[CrowdModel, tuple[Rows, Rows, list[tuple[int, CrowdMember, HandWork]]]] = {}
+        """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others; and the first of these;
+        and those of its people whose hands work."""
         self._moved: dict[int, PoseAction] = {}
         self._places: dict[Any, Station] = {}
         """Stations in use, by the person who uses them."""
@@ -151,8 +156,10 @@ class Crowds:
             order = own + sorted(set(discs) - set(own), key=lambda k: (k < all_people, k))
             # where all people follow one model, views: sorting the rows takes longer than looking at them
             every = slice(None), slice(0, len(own))
-            self._order[model] = every if order == list(discs) else (np.array(order), np.array(own))
-        crowd, (order, own) = self._crowds[model], self._order[model]
+            places_of = every if order == list(discs) else (np.array(order), np.array(own))
+            workers = [(n, member, member.hands) for n, member in members.items() if member.hands is not None]
+            self._order[model] = *places_of, workers
+        crowd, (order, own, workers) = self._crowds[model], self._order[model]
         places, headings = crowd.step(
             moment.places[w, order],
             moment.before[w, order],
@@ -162,16 +169,15 @@ class Crowds:
             len(moment.radii) - all_people,
             self._step,
         )
-        self.new_events += [
-            Event(step=self._step, agent=list(members)[m], kind=kind, target=target, detail=detail)
-            for m, kind, target, detail in crowd.new_events
-        ]
-        for number, place, angle, (height, share) in zip(
-            members, places, headings.tolist(), crowd.seats.tolist(), strict=True
-        ):
-            self._moved[number] = PoseAction(place, angle, (height, share))
-            if (work := members[number].hands) is not None:
-                self._handle(number, members[number], work, place, angle)
+        if crowd.new_events:
+            self.new_events += [
+                Event(step=self._step, agent=list(members)[m], kind=kind, target=target, detail=detail)
+                for m, kind, target, detail in crowd.new_events
+            ]
+        seats = map(tuple, crowd.seats.tolist())
+        self._moved.update(zip(members, map(PoseAction, places, headings.tolist(), seats), strict=True))
+        for number, member, work in workers:
+            self._handle(number, member, work, self._moved[number].xz, self._moved[number].heading)
 
     def _handle(self, number: int, member: CrowdMember, work: HandWork, place: Array, heading: float) -> None:
         """Move hands, doors and things by what a person does who is at a place [2] with a heading after this step."""
