@@ -124,6 +124,7 @@ def test_constants_of_earlier_versions_stay():
     assert CrowdSpec.of_version(8, wary=True) == replace(CrowdSpec.of_version(4, wary=True), company_m=0.0)
     assert len({CrowdSpec.of_version(version) for version in (3, 4, 5, 6)}) == 4
     for version in (6, 7, 8):
+        assert CrowdSpec.of_version(version, wary=True, early=True) == CrowdSpec.of_version(4, wary=True)
         assert replace(CrowdSpec.of_version(version, early=True), version=5) == CrowdSpec.of_version(5)
         assert replace(CrowdSpec.of_version(version), version=6) == CrowdSpec.of_version(6)
 
