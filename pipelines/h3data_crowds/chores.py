@@ -562,26 +562,20 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
         SceneError: The home has no things for any of it.
     """
     scene, free, member = episode.scene, episode.free, episode.roster[number]
-    body, start = member.body, episode.starts[number, :2]
-
-    def stops(version: int) -> list[Stop]:
-        rng = generator(episode.seed, "breakfast", world=number)
-        chosen = chosen_stops(episode, number, BREAKFAST, rng, KEPT, version)
-        if not chosen:
-            raise SceneError(
-                f"{member.name} can have no breakfast in {scene.name}. Hint: choose a home that opens, such as medium-open:3.",
-                code="H3-TASK-089",
-            )
-        return chosen
-
-    return ChoreRoutine(scene, free, stops, body, start=start, number=number)
+    stops = partial(chosen_stops, episode, number, BREAKFAST, "breakfast", KEPT)
+    if not stops(VERSION):
+        raise SceneError(
+            f"{member.name} can have no breakfast in {scene.name}. Hint: choose a home that opens, such as medium-open:3.",
+            code="H3-TASK-089",
+        )
+    return ChoreRoutine(scene, free, stops, member.body, start=episode.starts[number, :2], number=number)
 
 
 def chosen_stops(
     episode: Any,
     number: int,
     parts: Sequence[Sequence[tuple[str, tuple[str, ...], float]]],
-    rng: Any,
+    stream: str,
     kept: float,
     version: int,
 ) -> list[Stop]:
@@ -591,12 +585,12 @@ def chosen_stops(
         episode: The episode.
         number: Number of the agent.
         parts: Parts as in `BREAKFAST`.
-        rng: Random numbers.
+        stream: Name of the stream of random numbers.
         kept: Share of the parts that are not left out.
         version: Version of the rules (`ChoreRoutine.follow`).
     """
     scene, free, body, start = episode.scene, episode.free, episode.roster[number].body, episode.starts[number, :2]
-    things = dict[str, list[str]]()
+    things, rng = dict[str, list[str]](), generator(episode.seed, stream, world=number)
     for instance in scene.instances:
         # not the fronts of drawers, whose names have the thing's before a slash
         if "/" not in instance.name:

@@ -22,7 +22,6 @@ from sim_kinematic.agents.skills import CHORE, CONTROL, Action, Skill, SkillResu
 from sim_kinematic.agents.skills import CHORES as NUMBERED
 from sim_kinematic.crowd.crowd import VERSION
 from sim_kinematic.crowd.errands import Motion
-from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S
 
 PARTS = (
@@ -224,10 +223,11 @@ def chores(episode: Any, number: int, version: int = VERSION) -> ChoreRoutine:
     scene, free, member = episode.scene, episode.free, episode.roster[number]
 
     def stops(version: int) -> list[Stop]:
-        chosen = chosen_stops(episode, number, PARTS, generator(episode.seed, "chores", world=number), 1.0, version)
+        chosen = chosen_stops(episode, number, PARTS, "chores", 1.0, version)
         # a phone needs no special thing: it is looked at beside any
-        looks = any(stop.activity == "phone" for stop in chosen)
-        return chosen if looks else [*chosen, Stop(scene.instances[0].name, "phone", 10.0)]
+        return chosen + [Stop(scene.instances[0].name, "phone", 10.0)] * all(
+            stop.activity != "phone" for stop in chosen
+        )
 
     start = episode.starts[number, :2]
     routine = ChoreRoutine(scene, free, stops, member.body, start=start, number=number).follow(version)

@@ -15,7 +15,7 @@ from sim_kinematic.crowd.company import PASSING_M, standing_circle
 from sim_kinematic.crowd.errands import Errand, Guide, Motion, Station
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import ALONE, Role
-from sim_kinematic.crowd.step import ASKS, DECIDES, MOVES, SEATED, advance_crowd
+from sim_kinematic.crowd.step import SEATED, step_crowd
 from sim_kinematic.crowd.traits import CrowdSpec, Traits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, StrideSpec
@@ -168,21 +168,22 @@ class Crowd:
         reacted = self._moods[:, 2].copy() if self._reacts else self._moods[:, 2]
         now = moved, places, before, heading, radii
         # in most steps nobody decides or is at a station, and one call of the kernel is all
-        found = self._call(now, robots, of_robots, step, ASKS if self._busy else ASKS | MOVES)
-        if found == DECIDES:
+        decides, done = self._call(now, robots, of_robots, step, asks=True, moves=not self._busy)
+        if decides:
             self._choose_goals(places[:people], step, places)
-        if found != MOVES:
+        if not done:
             for m in list(self._busy):
                 self._move_busy(m, moved, radii, step)
-            self._call(now, robots, of_robots, step, MOVES)
+            self._call(now, robots, of_robots, step, asks=False, moves=True)
         for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if self._reacts else ():
             self.new_events.append((m, "reacts" if self._moods[m, 2] else "reaction_over", self._roles[m].reaction, ""))
         return moved[:people], self._body[:, 0].copy()
 
-    def _call(self, now: tuple[Array, ...], robots: Array, of_robots: int, step: int, does: int) -> int:
-        """Call `advance_crowd` with the present state of the people."""
-        found: int = self._free.entries(
-            advance_crowd,
+    def _call(
+        self, now: tuple[Array, ...], robots: Array, of_robots: int, step: int, *, asks: bool, moves: bool
+    ) -> tuple[bool, bool]:
+        return self._free.entries(
+            step_crowd,
             *self._grid,
             *now,
             self._paths,
@@ -208,9 +209,9 @@ class Crowd:
             step,
             STEP_S,
             ARRIVED_M + 1e-9,
-            does,
+            asks,
+            moves,
         )
-        return found
 
     def _move_busy(self, m: int, places: Array, radii: Array, step: int) -> None:
         """Move a person who is at a station by one step in ``places`` [N, 2], unless another agent is in the way."""
@@ -343,20 +344,24 @@ class Crowd:
         if not here.any() or distance_to_path(places[here], path).min() > PASSING_M:
             return path
         # by version 8, who is beside the first of their group before a passage does not squeeze past, but lets them go
-        own = here[:people][self._company == self._company[m]].any()
-        behind = self._version > 7 and not self._forces and self._company[m] >= 0 and own
-        for around in AROUND_M[: 1 if behind else 2]:
+        own = (self._company == self._company[m]) & (self._company >= 0) & (self._version > 7) & (not self._forces)
+        for around in AROUND_M[: 1 if here[:people][own].any() else 2]:
             found = grid.flood(places[m], np.insert(places[here], 2, around, axis=1), goal=path[-1]).path_to(path[-1])
             if found is not None:
                 return found
-        ways = [self._ahead(j, FAR_M) for j in np.flatnonzero(here[:people] & (self._until < 0)).tolist()]
-        discs = [np.insert(places[here], 2, AROUND_M[-1], axis=1)]
+        ways = {j: self._ahead(j, FAR_M) for j in np.flatnonzero(here[:people] & (self._until < 0)).tolist()}
         # not through the passage that the first of the group wants
-        discs += [np.insert(way, 2, WAY_ROOM_M, axis=1) for way in ways if behind]
+        discs = (np.insert(way, 2, WAY_ROOM_M, axis=1) for j, way in ways.items() if own[j])
         # 5.0: distance along the floor up to which people back out [m]
-        reached = grid.flood(places[m], np.concatenate(discs), farthest_m=5.0 * stuck)
+        reached = grid.flood(
+            places[m],
+            np.concatenate([np.insert(places[here], 2, AROUND_M[-1], axis=1), *discs]),
+            farthest_m=5.0 * stuck,
+        )
         fits = np.isfinite(reached.distance)
-        gaps = np.hypot(*(grid.centres[fits][:, None] - np.concatenate([places[here], *ways])).transpose(2, 0, 1))
+        gaps = np.hypot(
+            *(grid.centres[fits][:, None] - np.concatenate([places[here], *ways.values()])).transpose(2, 0, 1)
+        )
         away = gaps > np.where(np.arange(gaps.shape[1]) < here.sum(), LEAVES_M, OFF_M)
         for count in (gaps.shape[1], here.sum()) if stuck else ():
             fits[np.isfinite(reached.distance)] = away[:, :count].all(-1)

@@ -37,8 +37,6 @@ SEATED = 3.0
 BACK_M, START_M = 1.5, 0.1
 """Distance that people in a narrow place go back along their path to let others through, and distance from the start of
 the path within which they cannot go back [m]."""
-ASKS, MOVES, DECIDES = 1, 2, 4
-"""Parts of a step in `advance_crowd`: ask whether somebody decides, and move; and the answer that somebody decides."""
 STRIDE_M, NEAR_END_M, GROUP_S = 0.2, 0.1, 0.5
 """Distance by which feet and hands reach farther ahead and behind than sideways [m]; distance from the place of a person who
 stands within which they do not step back to it [m]; time in which forces of a group become velocities, the time constant of
@@ -436,13 +434,16 @@ def step_crowd(
     origin,
     cell,
     places,
-    velocities,
+    now,
+    before,
+    heading,
     radii,
     paths,
     counts,
     lengths,
     along,
     best,
+    until,
     claims,
     body,
     chosen,
@@ -459,21 +460,27 @@ def step_crowd(
     limits,
     step,
     dt,
+    arrived_m,
+    asks,
+    moves,
 ):
-    """Move all people of a crowd by one step, in place.
+    """Move all people of a crowd by one step, in place, unless somebody has to decide first.
 
     Args:
         sdf: Signed distances of the floor's grid [m].
         origin: Position of the grid.
         cell: Size of its cells [m].
-        places: Positions of all discs, first those of the crowd [N, 2] [m].
-        velocities: Velocities of all discs [N, 2] [m/s].
-        radii: Radii of all discs [N] [m].
+        places: Positions of all discs, first those of the crowd [N, 2] [m], which change.
+        now: Their positions at the beginning of the step [N, 2] [m].
+        before: Their positions one step earlier [N, 2] [m].
+        heading: Headings of the people at the beginning of the step [M] [rad].
+        radii: Radii of all discs [N] [m]; those of the people are overwritten by their traits.
         paths: Paths of the people [M, K, 2] [m].
         counts: Number of points of each path [M].
         lengths: Distance along each path up to each point [M, K] [m].
         along: Progress of each person along their path [M] [m].
         best: Largest progress so far, and the step in which it was made [M, 2].
+        until: Step until which each person stays where they are [M]; -1: they walk.
         claims: Narrow places that people are in or before (`claim_passages`) [M, 6].
         body: Motion of the bodies (`follow`) [M, 4].
         chosen: Chosen velocities [M, 2] [m/s].
@@ -491,7 +498,19 @@ def step_crowd(
         limits: `StrideSpec.limits`.
         step: Number of the step.
         dt: Duration of a step [s].
+        arrived_m: Distance to the end of a path from which on people have arrived [m].
+        asks: True if the step begins, so that people may have to decide; False: they have decided.
+        moves: True if people move as soon as nobody has to decide.
+
+    Returns:
+        Whether somebody has to decide, and whether people have moved.
     """
+    if asks:
+        body[:, 0], radii[: len(heading)] = heading, traits[:, 3]
+    decides = asks and who_decides(now, paths, counts, best, traits, until, step, dt, arrived_m)
+    if decides or not moves:
+        return decides, False
+    velocities = (now - before) / dt
     decel, unblocked, to_come = limits[1], rules[18] > 3.0, rules[18] > 5.0
     for m in range(len(counts)):
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
@@ -591,89 +610,4 @@ def step_crowd(
         if stays[m, 2] == SEATED:
             continue
         follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
-
-
-@kernel(error_model="numpy")
-def advance_crowd(
-    sdf,
-    origin,
-    cell,
-    places,
-    now,
-    before,
-    heading,
-    radii,
-    paths,
-    counts,
-    lengths,
-    along,
-    best,
-    until,
-    claims,
-    body,
-    chosen,
-    stays,
-    company,
-    moods,
-    looks,
-    robots,
-    of_robots,
-    pace,
-    traits,
-    forces,
-    rules,
-    limits,
-    step,
-    dt,
-    arrived_m,
-    does,
-):
-    """Move all people of a crowd by one step, in place, unless somebody has to decide first.
-
-    The arguments are those of `who_decides` and `step_crowd`, and these:
-
-    Args:
-        now: Positions of all discs at the beginning of the step [N, 2] [m].
-        before: Positions one step earlier [N, 2] [m].
-        heading: Headings of the people [M] [rad].
-        does: Parts of the step, a sum of `ASKS` and `MOVES`.
-
-    Returns:
-        `DECIDES` if somebody has to decide, and nobody has moved; else `MOVES` if people have moved, or 0.
-    """
-    if does & ASKS:
-        for m in range(len(heading)):
-            body[m, 0], radii[m] = heading[m], traits[m, 3]
-        if who_decides(now, paths, counts, best, traits, until, step, dt, arrived_m):
-            return DECIDES
-    if does & MOVES:
-        step_crowd(
-            sdf,
-            origin,
-            cell,
-            places,
-            (now - before) / dt,
-            radii,
-            paths,
-            counts,
-            lengths,
-            along,
-            best,
-            claims,
-            body,
-            chosen,
-            stays,
-            company,
-            moods,
-            looks,
-            robots,
-            of_robots,
-            pace,
-            traits,
-            forces,
-            rules,
-            limits,
-            step,
-            dt,
-        )
-    return does & MOVES
+    return False, True

@@ -79,10 +79,10 @@ class CrowdSpec:
         """
         if wary or version < 3:
             return cls(version=min(version, 4), company_m=0.0 if version > 7 and not early else cls.company_m)
-        version = min(version, 5) if early else version
-        quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=version)
-        early = replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1) if version > 4 else quick
-        return replace(early, wait_m=2.0, aside_m=1.2) if version > 5 else early
+        kept = min(version, 5) if early else version
+        quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=kept)
+        sooner = replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1) if kept > 4 else quick
+        return replace(sooner, wait_m=2.0, aside_m=1.2) if kept > 5 else sooner
 
     @property
     def numbers(self) -> Array:

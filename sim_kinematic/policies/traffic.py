@@ -200,9 +200,8 @@ class Traffic:
             mine[0] = theirs[self._row]
         for actor in self.actors:
             actor.follow(self._state)
-            if isinstance(actor, WalkingAgent):
-                gait = actor.figure.gait
-                self._company.widen(actor.number, bool(gait.seat[0, 1] > 1 or gait.hands[0, :, 3].any()))
+            if isinstance(own := self._state.agents[actor.number], HumanState):
+                self._company.widen(actor.number, bool(own.seat[0, 1] > 1 or own.hands[0, :, 3].any()))
             self._company.end_turn(actor.number)
         if self._step >= 0:
             self._company.end_step()

@@ -291,9 +291,8 @@ def assigned_policies(
     result = []
     for k, member in enumerate(episode.roster):
         choice = _chosen_for(episode, k, new)
-        nobody = repeat_crowd(AssignedPolicy(None, named[k], member.kind), recording, member.name)
         if k in recorded:
-            result.append(nobody)
+            result.append(repeat_crowd(AssignedPolicy(None, named[k], member.kind), recording, member.name))
             continue
         try:
             if choice is None:
@@ -310,7 +309,7 @@ def assigned_policies(
                 raise InputError(
                     f"The recording's own {entry} is not at hand; name one with {entry}=. {fault}", code="H3-TASK-040"
                 ) from None
-            result.append(nobody)
+            result.append(AssignedPolicy(None, named[k], member.kind))
     return result
 
 
@@ -321,8 +320,7 @@ def repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> A
     """
     people = recording.episode.info.get("people")
     facts = people.get(name) if isinstance(people, dict) else None
-    version = facts.get("version") if isinstance(facts, dict) else None
-    version = version if isinstance(version, int) else 1
+    version = told if isinstance(facts, dict) and isinstance(told := facts.get("version"), int) else 1
     if isinstance(assigned.policy, CrowdPolicy):
         assigned.policy.repeat(version)
     return assigned._replace(version=version)

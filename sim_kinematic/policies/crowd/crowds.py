@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from h3data.geometry import Array, pose_multiply
 from h3data.recording import Event
@@ -40,11 +39,7 @@ class CrowdMember:
     hands: HandWork | None = None
     """State of the person's hands; None: they handle nothing."""
     daily: bool = False
-    """Whether the person follows a routine."""
-
-
-Rows = NDArray[np.intp] | slice
-"""Numbers of rows of an array, or a range of them."""
+    """True if the person follows a routine."""
 
 
 class Moment(NamedTuple):
@@ -106,7 +101,7 @@ class Crowds:
         self._world, self._row, self._step, self._moment = world, row, -1, moment
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
-        self._order: dict[CrowdModel, tuple[Rows, Rows, list[tuple[int, CrowdMember, HandWork]]]] = {}
+        self._order: dict[CrowdModel, tuple[Any, Any, list[tuple[int, CrowdMember, HandWork]]]] = {}
         """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others; and the first of these;
         and those of its people whose hands work."""
         self._moved: dict[int, PoseAction] = {}
@@ -156,9 +151,9 @@ class Crowds:
             order = own + sorted(set(discs) - set(own), key=lambda k: (k < all_people, k))
             # where all people follow one model, views: sorting the rows takes longer than looking at them
             every = slice(None), slice(0, len(own))
-            places_of = every if order == list(discs) else (np.array(order), np.array(own))
             workers = [(n, member, member.hands) for n, member in members.items() if member.hands is not None]
-            self._order[model] = *places_of, workers
+            rows, first = every if order == list(discs) else (np.array(order), np.array(own))
+            self._order[model] = rows, first, workers
         crowd, (order, own, workers) = self._crowds[model], self._order[model]
         places, headings = crowd.step(
             moment.places[w, order],
@@ -169,13 +164,14 @@ class Crowds:
             len(moment.radii) - all_people,
             self._step,
         )
-        if crowd.new_events:
-            self.new_events += [
-                Event(step=self._step, agent=list(members)[m], kind=kind, target=target, detail=detail)
-                for m, kind, target, detail in crowd.new_events
-            ]
-        seats = map(tuple, crowd.seats.tolist())
-        self._moved.update(zip(members, map(PoseAction, places, headings.tolist(), seats), strict=True))
+        self.new_events += [
+            Event(step=self._step, agent=list(members)[m], kind=kind, target=target, detail=detail)
+            for m, kind, target, detail in crowd.new_events
+        ]
+        for number, place, angle, (height, share) in zip(
+            members, places, headings.tolist(), crowd.seats.tolist(), strict=True
+        ):
+            self._moved[number] = PoseAction(place, angle, (height, share))
         for number, member, work in workers:
             self._handle(number, member, work, self._moved[number].xz, self._moved[number].heading)
 
