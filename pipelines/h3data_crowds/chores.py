@@ -43,7 +43,7 @@ from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Box, Instance, instance_bounds, instance_matrix
 from h3data_crowds.routines import KEPT, PERSON_M, Routine, Stop, no_wall_between, place_beside
 from sim_kinematic.agents.arm_tuck import held_close
-from sim_kinematic.crowd.crowd import ROUTINE_VERSION, VERSION
+from sim_kinematic.crowd.crowd import VERSION
 from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station
 from sim_kinematic.crowd.seating import SETTLE_S, steps_between
 from sim_kinematic.motion.randomness import generator
@@ -214,27 +214,29 @@ class ChoreRoutine(Routine):
         self,
         scene: Scene,
         free: FreeSpace,
-        stops: Sequence[Stop],
+        stops: Sequence[Stop] | Callable[[int], Sequence[Stop]],
         body: Humanoid,
         *,
         start: NDArray[np.float64],
         number: int = 0,
-        version: int = ROUTINE_VERSION,
+        version: int = VERSION,
     ) -> None:
         """Check the stops as `Routine` does, and plan the chores.
 
         Args:
             scene: The home.
             free: Free floor of the home.
-            stops: Places, activities and durations [s].
+            stops: Places, activities and durations [s], or a function that returns those of a version of the rules.
             body: The person's body.
             start: Position (x, z) [2] [m] from which the person comes.
             number: Number of the agent; people with different numbers put their things at different spots.
             version: Version of the rules of people by which the chores are planned (`follow`).
         """
-        super().__init__(scene, free, stops, body)
+        self._choose = stops if callable(stops) else None
+        super().__init__(scene, free, stops(version) if callable(stops) else stops, body)
         self._body, self._start, self._number = body, start, number
         self.use(CarryingHands((), (), body))
+        self.version = version
         self.follow(version)
         scale = reacher(body, "right").body.scale
         self._carry = np.stack([CARRIED * scale * (1, 1, -1), CARRIED * scale])
@@ -250,7 +252,12 @@ class ChoreRoutine(Routine):
         self._work = hands
 
     def follow(self, version: int) -> ChoreRoutine:
-        """Plan the chores by a version of the rules; up to version 6, people also do chores through a wall."""
+        """Plan the chores by a version of the rules.
+
+        Up to version 6, people also do chores through a wall; up to version 7, they choose stops as if they did.
+        """
+        if self._choose is not None and (version > 7) != (self.version > 7):
+            self.stops = tuple(self._choose(version))
         self.version = version
         self.plans, self.own = dict[int, Chore | InputError](), dict[int, int]()
         things, held = list[Body](), ""
@@ -264,7 +271,7 @@ class ChoreRoutine(Routine):
                 continue
             try:
                 where = self._scene, self._free, self._body, stop, self._start, self._number
-                plan = planned(*where, tray=held == "tray", walls=version > VERSION)
+                plan = planned(*where, tray=held == "tray", walls=version > 6)
             except InputError as fault:
                 self.plans[k] = fault
                 continue
@@ -558,18 +565,22 @@ def breakfast(episode: Any, number: int) -> ChoreRoutine:
         SceneError: The home has no things for any of it.
     """
     scene, free, member = episode.scene, episode.free, episode.roster[number]
-    body, start = member.body, episode.starts[number, :2]
-    stops = chosen_stops(episode, number, BREAKFAST, generator(episode.seed, "breakfast", world=number), KEPT)
-    if not stops:
+    stops = partial(chosen_stops, episode, number, BREAKFAST, "breakfast", KEPT)
+    if not stops(VERSION):
         raise SceneError(
             f"{member.name} can have no breakfast in {scene.name}. Hint: choose a home that opens, such as medium-open:3.",
             code="H3-TASK-089",
         )
-    return ChoreRoutine(scene, free, stops, body, start=start, number=number)
+    return ChoreRoutine(scene, free, stops, member.body, start=episode.starts[number, :2], number=number)
 
 
 def chosen_stops(
-    episode: Any, number: int, parts: Sequence[Sequence[tuple[str, tuple[str, ...], float]]], rng: Any, kept: float
+    episode: Any,
+    number: int,
+    parts: Sequence[Sequence[tuple[str, tuple[str, ...], float]]],
+    stream: str,
+    kept: float,
+    version: int,
 ) -> list[Stop]:
     """Return stops of an agent at random things of the home, without the parts that are impossible there.
 
@@ -577,11 +588,12 @@ def chosen_stops(
         episode: The episode.
         number: Number of the agent.
         parts: Parts as in `BREAKFAST`.
-        rng: Random numbers.
+        stream: Name of the stream of random numbers.
         kept: Share of the parts that are not left out.
+        version: Version of the rules (`ChoreRoutine.follow`).
     """
     scene, free, body, start = episode.scene, episode.free, episode.roster[number].body, episode.starts[number, :2]
-    things = dict[str, list[str]]()
+    things, rng = dict[str, list[str]](), generator(episode.seed, stream, world=number)
     for instance in scene.instances:
         # not the fronts of drawers, whose names have the thing's before a slash
         if "/" not in instance.name:
@@ -596,7 +608,7 @@ def chosen_stops(
                 stop = Stop(there[k], activity, seconds)
                 try:
                     if activity in CHORES and activity not in UNPLANNED:
-                        planned(scene, free, body, stop, start, number, tray=tray)
+                        planned(scene, free, body, stop, start, number, tray=tray, walls=version > 7)
                 except InputError:
                     continue
                 chosen.append(stop)

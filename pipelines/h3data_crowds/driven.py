@@ -15,14 +15,13 @@ from h3data.errors import InputError
 from h3data.geometry import Array, heading_from_quat, minimum_jerk, pose_multiply
 from h3data.recording import Event
 from h3data.scene.records import instance_bounds
-from h3data_crowds.chores import BREAKFAST, CHORES, SETTLES_S, CarryingHands, Chore, ChoreRoutine, planned
-from h3data_crowds.chores import chosen_stops as stops_in
+from h3data_crowds.chores import BREAKFAST, CHORES, SETTLES_S, CarryingHands, Chore, ChoreRoutine, chosen_stops, planned
 from h3data_crowds.routines import Stop
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.skills import CHORE, CONTROL, Action, Skill, SkillResult
 from sim_kinematic.agents.skills import CHORES as NUMBERED
+from sim_kinematic.crowd.crowd import VERSION
 from sim_kinematic.crowd.errands import Motion
-from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S
 
 PARTS = (
@@ -190,7 +189,7 @@ class DrivenHands(CarryingHands):
             scene, free, body, start = self._home
             try:
                 stop = Stop(name, "put", CHORES["put"] + SETTLES_S)
-                self._known[key] = planned(scene, free, body, stop, start, n, tray=wide)
+                self._known[key] = planned(scene, free, body, stop, start, n, tray=wide, walls=self.routine.version > 6)
             except InputError:
                 self._known[key] = None
         return self._known[key]
@@ -216,18 +215,21 @@ class DrivenHands(CarryingHands):
             del self.held[self.phone]
 
 
-def chores(episode: Any, number: int) -> ChoreRoutine:
+def chores(episode: Any, number: int, version: int = VERSION) -> ChoreRoutine:
     """Return a routine with one of each chore that the home allows, whose hands also follow commands from outside.
 
-    Looking at a phone is possible in every home.
+    Looking at a phone is possible in every home. The ``version`` of the rules is that of `ChoreRoutine.follow`.
     """
     scene, free, member = episode.scene, episode.free, episode.roster[number]
-    stops = stops_in(episode, number, PARTS, generator(episode.seed, "chores", world=number), 1.0)
-    if not any(stop.activity == "phone" for stop in stops):
+
+    def stops(version: int) -> list[Stop]:
+        chosen = chosen_stops(episode, number, PARTS, "chores", 1.0, version)
         # a phone needs no special thing: it is looked at beside any
-        stops.append(Stop(scene.instances[0].name, "phone", 10.0))
+        return chosen + [Stop(scene.instances[0].name, "phone", 10.0)] * all(
+            stop.activity != "phone" for stop in chosen
+        )
+
     start = episode.starts[number, :2]
-    # recordings of people who are driven hold no version of these rules: they follow the first
-    routine = ChoreRoutine(scene, free, stops, member.body, start=start, number=number, version=1)
+    routine = ChoreRoutine(scene, free, stops, member.body, start=start, number=number, version=version)
     routine.use(DrivenHands(routine, scene, free, member.body, start, number))
     return routine

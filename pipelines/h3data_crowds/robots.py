@@ -95,6 +95,7 @@ def _among_people(view: AgentView, base: BaseSpec, *, forces: bool) -> Velocity:
         np.array([[view.heading, 0.0, 0.0, view.heading]]),
         np.zeros((1, 3)),
         np.full(1, -1),
+        np.full(1, -1),
         *_wanted(view).tolist(),
         CRUISE_MPS,
         0,

@@ -19,7 +19,7 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.records import instance_bounds
-from sim_kinematic.crowd.crowd import ROUTINE_VERSION, VERSION
+from sim_kinematic.crowd.crowd import VERSION
 from sim_kinematic.crowd.errands import Errand, HandWork
 from sim_kinematic.crowd.seating import Seats
 from sim_kinematic.motion.randomness import generator
@@ -160,7 +160,7 @@ class Routine:
         self.stops = tuple(stops)
         self.hands: HandWork | None = None
         """Work of the person's hands; None: they handle nothing."""
-        self.version = ROUTINE_VERSION
+        self.version = VERSION
         """Version of the rules of the person (`follow`)."""
         self._scene, self._free, self._next = scene, free, 0
         self._seats = None if body is None else Seats(scene, free, body)
@@ -216,7 +216,7 @@ class Routine:
                         None,
                         stop.activity,
                         stop.place,
-                        place.station(brisk=self.version > VERSION),
+                        place.station(brisk=self.version > 6),
                     )
                     return (at, errand), refused
         beside = place_beside(self._scene, self._free, stop.place, xz)

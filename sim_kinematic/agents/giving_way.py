@@ -27,7 +27,7 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import Neighbours
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.body_capsules import AgentCapsules, may_touch
-from sim_kinematic.contact.clearance import clip_reach, robot_span
+from sim_kinematic.contact.clearance import LYING_M, clip_reach, robot_span
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.step import APART_TOLERANCE_M, discs_at
@@ -62,7 +62,7 @@ class GivingWay:
             people_see_robot: whether a person with one robot avoids it.
             person_radius_m: radius of a person's disc.
             solid: whether people who are driven from outside slide along the discs of other agents.
-            in_clips: whether people only move as in their motion clips, so that their hands stay near.
+            in_clips: whether people move as in their motion clips, so that their hands stay near; `widen` tells when not.
         """
         self.actors, self.right_of_way, self.agreed, self.solid = actors, right_of_way, agreed, solid
         self.neighbours = Neighbours.of(actors)
@@ -203,6 +203,10 @@ class GivingWay:
         self.touching = []
         if near:
             self.touching = [(a, b) for a, b in self._pairs if self._is_near(a, self.at[a], b) and self._touch(a, b)]
+
+    def widen(self, number: int, wide: bool) -> None:
+        """Note whether a person in clips reaches farther than in these now, because they lie or handle something."""
+        self._reach_m[number] = self._reaches[number] = clip_reach(self.bodies[number]) + LYING_M * wide
 
     def _is_near(self, a: int, here: Sequence[float], b: int) -> bool:
         """Return whether an agent at (x, z) could touch another with their arms stretched out."""

@@ -15,7 +15,7 @@ from sim_kinematic.crowd.company import PASSING_M, standing_circle
 from sim_kinematic.crowd.errands import Errand, Guide, Motion, Station
 from sim_kinematic.crowd.reactions import REACTIONS
 from sim_kinematic.crowd.roles import ALONE, Role
-from sim_kinematic.crowd.step import SEATED, step_crowd, who_decides
+from sim_kinematic.crowd.step import SEATED, step_crowd
 from sim_kinematic.crowd.traits import CrowdSpec, Traits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, StrideSpec
@@ -31,19 +31,21 @@ and length of the path ahead of them from which people who stay there move away 
 CLOSE_M = 1.5
 """Distance from their destination within which people who are stuck stay where they are, because another person stands
 there [m]."""
-AROUND_M, LEAVES_M, OFF_M, FAR_M = (PASSING_M, 0.8), 1.6, 0.9, 4.0
+AROUND_M, LEAVES_M, OFF_M, FAR_M, WAY_ROOM_M = (PASSING_M, 0.8), 1.6, 0.9, 4.0, 0.4
 """Distances for paths around people who stand, and for backing out [m]: distances at which paths go around them, the
 second of which is used if the first leaves no path; least distances of a place to back out to from everybody near, and
-from their paths; distance within which people count as near; and length of these paths."""
-VERSION, ROUTINE_VERSION = 6, 7
-"""Versions of the rules by which crowds and people with routines decide, which recordings store. In version 1, that of
+from their paths; distance within which people count as near; length of these paths; and distance from the path of the first of
+their group that those keep who back out for them."""
+VERSION = 8
+"""Version of the rules by which crowds and people with routines decide, which recordings store. In version 1, that of
 recordings without a version, conversations may close a passage, groups pull together through walls, and people who stay
 somewhere stay there although others cannot get past. Up to version 2, people avoid others 2 s ahead, including those who
 give way to them, and step aside more slowly (`CrowdSpec.of_version`). Up to version 3, paths lead through people who stand,
 and nobody backs out (`Crowd._way`). Up to version 4, every place near a wall counts as narrow, and people give way later and
 more slowly. Up to version 5, and still with `social_force` or routines, they also give way to people who have passed them,
 and slow down for people who move away. Up to version 6, people with routines hold out what they carry also beside walls, do
-chores through walls, and take longer before they sit down. Version 7 is only that of people with routines."""
+chores through walls, and take longer before they sit down; version 7 is only that of people with routines. Up to version 7,
+members of a walking group keep as far from each other as from anybody, and they still do with `social_force` or routines."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """Conditions for sitting down: distance from the place before the seat [m], speed [m/s], and distance to others'
 outlines below which people wait [m]."""
@@ -82,6 +84,7 @@ class Crowd:
         stride: StrideSpec | None = None,
         places: dict[Any, Station] | None = None,
         version: int = VERSION,
+        daily: bool = False,
     ) -> None:
         """Create a crowd that stands still and has no goals yet.
 
@@ -96,15 +99,17 @@ class Crowd:
             stride: Limits of walking.
             places: Stations that people of all crowds of a world use, by crowd and number; this crowd adds its own.
             version: Version of the rules (`VERSION`); an earlier one repeats older recordings.
+            daily: True if anybody has a routine.
         """
         people = len(traits)
         self._free, self._seed, self._version = free, seed, version
         self._grid = free.sdf, free.origin, free.cell_m
         self._traits, self._guides = np.array(traits, np.float64).reshape(people, 6), list(guides)
         # with the shorter horizons of version 3, people block the way of walking groups and get too near to what they fear
-        wary = any(role.group or role.reaction != "regular" for role in roles or ())
-        # with the smaller distances of version 6, people of social force touch
-        constants = CrowdSpec.of_version(version if model == "orca" else min(version, 5), wary=wary)
+        self._reacts = any(role.reaction != "regular" for role in roles or ())
+        wary = self._reacts or any(role.group for role in roles or ())
+        # with the smaller distances of version 6, people of social force touch, and people with routines
+        constants = CrowdSpec.of_version(version, wary=wary, early=daily or model != "orca")
         self._forces, self._rules = model == "social_force", (spec or constants).numbers
         self._limits = (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))
@@ -154,43 +159,39 @@ class Crowd:
             of_robots: Number of discs that belong to robots.
             step: Number of the step.
         """
-        people = len(heading)
-        xz, radii[:people] = places[:people], self._traits[:, 3]
+        people, moved, self.new_events = len(heading), places.copy(), []
         if not self._began:
-            self._body[:, 0] = self._body[:, 3] = heading
-            self._meet(xz)
+            self._body[:, 3] = heading
+            self._meet(places[:people])
             self._began = True
-        self._body[:, 0] = heading
-        self.new_events = []
-        velocities = (places - before) / STEP_S
-        if self._free.entries(
-            who_decides,
-            xz,
-            self._paths,
-            self._counts,
-            self._best,
-            self._traits,
-            self._until,
-            step,
-            STEP_S,
-            ARRIVED_M + 1e-9,
-        ):
-            self._choose_goals(xz, step, places)
         # before the step: whoever differs after it has begun or ended a reaction
-        reacted, places = self._moods[:, 2].copy(), places.copy()
-        for m in list(self._busy):
-            self._move_busy(m, places, radii, step)
-        self._free.entries(
+        reacted = self._moods[:, 2].copy() if self._reacts else self._moods[:, 2]
+        now = moved, places, before, heading, radii
+        # in most steps nobody decides or is at a station, and one call of the kernel is all
+        decides, done = self._call(now, robots, of_robots, step, asks=True, moves=not self._busy)
+        if decides:
+            self._choose_goals(places[:people], step, places)
+        if not done:
+            for m in list(self._busy):
+                self._move_busy(m, moved, radii, step)
+            self._call(now, robots, of_robots, step, asks=False, moves=True)
+        for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if self._reacts else ():
+            self.new_events.append((m, "reacts" if self._moods[m, 2] else "reaction_over", self._roles[m].reaction, ""))
+        return moved[:people], self._body[:, 0].copy()
+
+    def _call(
+        self, now: tuple[Array, ...], robots: Array, of_robots: int, step: int, *, asks: bool, moves: bool
+    ) -> tuple[bool, bool]:
+        return self._free.entries(
             step_crowd,
             *self._grid,
-            places,
-            velocities,
-            radii,
+            *now,
             self._paths,
             self._counts,
             self._lengths,
             self._along,
             self._best,
+            self._until,
             self._claims,
             self._body,
             self._chosen,
@@ -207,10 +208,10 @@ class Crowd:
             self._limits,
             step,
             STEP_S,
+            ARRIVED_M + 1e-9,
+            asks,
+            moves,
         )
-        for m in np.flatnonzero(self._moods[:, 2] != reacted).tolist() if len(robots) else ():
-            self.new_events.append((m, "reacts" if self._moods[m, 2] else "reaction_over", self._roles[m].reaction, ""))
-        return places[:people], self._body[:, 0].copy()
 
     def _move_busy(self, m: int, places: Array, radii: Array, step: int) -> None:
         """Move a person who is at a station by one step in ``places`` [N, 2], unless another agent is in the way."""
@@ -342,15 +343,25 @@ class Crowd:
         here[m] = False
         if not here.any() or distance_to_path(places[here], path).min() > PASSING_M:
             return path
-        for around in AROUND_M:
+        # by version 8, who is beside the first of their group before a passage does not squeeze past, but lets them go
+        own = (self._company == self._company[m]) & (self._company >= 0) & (self._version > 7) & (not self._forces)
+        for around in AROUND_M[: 1 if here[:people][own].any() else 2]:
             found = grid.flood(places[m], np.insert(places[here], 2, around, axis=1), goal=path[-1]).path_to(path[-1])
             if found is not None:
                 return found
+        ways = {j: self._ahead(j, FAR_M) for j in np.flatnonzero(here[:people] & (self._until < 0)).tolist()}
+        # not through the passage that the first of the group wants
+        discs = (np.insert(way, 2, WAY_ROOM_M, axis=1) for j, way in ways.items() if own[j])
         # 5.0: distance along the floor up to which people back out [m]
-        reached = grid.flood(places[m], np.insert(places[here], 2, AROUND_M[-1], axis=1), farthest_m=5.0 * stuck)
-        ways = [self._ahead(j, FAR_M) for j in np.flatnonzero(here[:people] & (self._until < 0)).tolist()]
+        reached = grid.flood(
+            places[m],
+            np.concatenate([np.insert(places[here], 2, AROUND_M[-1], axis=1), *discs]),
+            farthest_m=5.0 * stuck,
+        )
         fits = np.isfinite(reached.distance)
-        gaps = np.hypot(*(grid.centres[fits][:, None] - np.concatenate([places[here], *ways])).transpose(2, 0, 1))
+        gaps = np.hypot(
+            *(grid.centres[fits][:, None] - np.concatenate([places[here], *ways.values()])).transpose(2, 0, 1)
+        )
         away = gaps > np.where(np.arange(gaps.shape[1]) < here.sum(), LEAVES_M, OFF_M)
         for count in (gaps.shape[1], here.sum()) if stuck else ():
             fits[np.isfinite(reached.distance)] = away[:, :count].all(-1)

@@ -211,7 +211,24 @@ def yield_velocity(sdf, origin, cell, x, z, path, cumulative, along, theirs, the
 
 @kernel(error_model="numpy")
 def choose_velocity(
-    sdf, origin, cell, m, places, velocities, radii, body, stays, firsts, wx, wz, most, furniture, traits, forces, rules
+    sdf,
+    origin,
+    cell,
+    m,
+    places,
+    velocities,
+    radii,
+    body,
+    stays,
+    firsts,
+    company,
+    wx,
+    wz,
+    most,
+    furniture,
+    traits,
+    forces,
+    rules,
 ):
     """Return the velocity (x, z) [m/s] that person ``m`` chooses, given the wanted velocity ``(wx, wz)``.
 
@@ -226,6 +243,7 @@ def choose_velocity(
         body: Motion of the crowd's people (`follow`) [M, 4].
         stays: Stays of the people, as in `step_crowd` [M, 3]; people who are seated do not make way.
         firsts: Number of the person to whom each person gives way (`first_through`) [M]; -1: nobody.
+        company: Number of the group with which each person walks [M]; -1: none.
         wx: Wanted velocity along x [m/s].
         wz: Wanted velocity along z [m/s].
         most: Greatest speed [m/s].
@@ -316,7 +334,7 @@ def choose_velocity(
         if len(body) <= j < len(body) + furniture:
             ahead_s, jx, jz = rules[1], 0.0, 0.0
         else:
-            reach += rules[4]
+            reach += rules[23] if j < len(body) and company[m] >= 0 and company[j] == company[m] else rules[4]
             # who gives way is on the way out of the path
             if j < len(body) and firsts[j] == m and not forces:
                 ahead_s = rules[19]
@@ -416,13 +434,16 @@ def step_crowd(
     origin,
     cell,
     places,
-    velocities,
+    now,
+    before,
+    heading,
     radii,
     paths,
     counts,
     lengths,
     along,
     best,
+    until,
     claims,
     body,
     chosen,
@@ -439,21 +460,27 @@ def step_crowd(
     limits,
     step,
     dt,
+    arrived_m,
+    asks,
+    moves,
 ):
-    """Move all people of a crowd by one step, in place.
+    """Move all people of a crowd by one step, in place, unless somebody has to decide first.
 
     Args:
         sdf: Signed distances of the floor's grid [m].
         origin: Position of the grid.
         cell: Size of its cells [m].
-        places: Positions of all discs, first those of the crowd [N, 2] [m].
-        velocities: Velocities of all discs [N, 2] [m/s].
-        radii: Radii of all discs [N] [m].
+        places: Positions of all discs, first those of the crowd [N, 2] [m], which change.
+        now: Their positions at the beginning of the step [N, 2] [m].
+        before: Their positions one step earlier [N, 2] [m].
+        heading: Headings of the people at the beginning of the step [M] [rad].
+        radii: Radii of all discs [N] [m]; those of the people are overwritten by their traits.
         paths: Paths of the people [M, K, 2] [m].
         counts: Number of points of each path [M].
         lengths: Distance along each path up to each point [M, K] [m].
         along: Progress of each person along their path [M] [m].
         best: Largest progress so far, and the step in which it was made [M, 2].
+        until: Step until which each person stays where they are [M]; -1: they walk.
         claims: Narrow places that people are in or before (`claim_passages`) [M, 6].
         body: Motion of the bodies (`follow`) [M, 4].
         chosen: Chosen velocities [M, 2] [m/s].
@@ -471,7 +498,19 @@ def step_crowd(
         limits: `StrideSpec.limits`.
         step: Number of the step.
         dt: Duration of a step [s].
+        arrived_m: Distance to the end of a path from which on people have arrived [m].
+        asks: True if the step begins, so that people may have to decide; False: they have decided.
+        moves: True if people move as soon as nobody has to decide.
+
+    Returns:
+        Whether somebody has to decide, and whether people have moved.
     """
+    if asks:
+        body[:, 0], radii[: len(heading)] = heading, traits[:, 3]
+    decides = asks and who_decides(now, paths, counts, best, traits, until, step, dt, arrived_m)
+    if decides or not moves:
+        return decides, False
+    velocities = (now - before) / dt
     decel, unblocked, to_come = limits[1], rules[18] > 3.0, rules[18] > 5.0
     for m in range(len(counts)):
         path, cumulative = paths[m, : counts[m]], lengths[m, : counts[m]]
@@ -557,6 +596,7 @@ def step_crowd(
             body,
             stays,
             firsts,
+            company,
             wx,
             wz,
             most,
@@ -570,3 +610,4 @@ def step_crowd(
         if stays[m, 2] == SEATED:
             continue
         follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
+    return False, True

@@ -68,18 +68,21 @@ class CrowdSpec:
     way_share: float = 0.5
     """Share of the change of velocity that `orca` expects of people to whom another person gives way; that person makes
     the rest."""
+    company_m: float = 0.08
+    """Distance between outlines that avoidance adds between members of one walking group [m]."""
 
     @classmethod
-    def of_version(cls, version: int, *, wary: bool = False) -> CrowdSpec:
-        """Return the constants for a version of the rules.
+    def of_version(cls, version: int, *, wary: bool = False, early: bool = False) -> CrowdSpec:
+        """Return the constants for a version of the rules; with ``early``, of those up to version 5.
 
         With ``wary``, the constants keep the horizons and speeds of version 2, and find narrow places as in version 4.
         """
         if wary or version < 3:
-            return cls(version=min(version, 4))
-        quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=version)
-        early = replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1) if version > 4 else quick
-        return replace(early, wait_m=2.0, aside_m=1.2) if version > 5 else early
+            return cls(version=min(version, 4), company_m=0.0 if version > 7 and not early else cls.company_m)
+        kept = min(version, 5) if early else version
+        quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=kept)
+        sooner = replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1) if kept > 4 else quick
+        return replace(sooner, wait_m=2.0, aside_m=1.2) if kept > 5 else sooner
 
     @property
     def numbers(self) -> Array:

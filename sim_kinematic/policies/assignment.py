@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from h3data.errors import InputError, UntrustedNameError, suggest
 from h3data.plugins import Registry, come_from_data
 from h3data.recording.records import agent_numbers
-from sim_kinematic.crowd.crowd import CrowdModel
+from sim_kinematic.crowd.crowd import VERSION, CrowdModel
 from sim_kinematic.crowd.errands import HandWork
 from sim_kinematic.crowd.roles import check_groups, read_role, routines
 from sim_kinematic.motion.randomness import episode_seed
@@ -76,6 +76,8 @@ class AssignedPolicy(NamedTuple):
     """Plan that a planner follows in this episode; empty for other policies."""
     hands: HandWork | None = None
     """Work of the hands of a person who is driven from outside; None: see `works`."""
+    version: int = VERSION
+    """Version of the rules (`sim_kinematic.crowd.crowd.VERSION`) of the chores of a person who is driven from outside."""
 
     @property
     def is_external(self) -> bool:

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
+from h3data.bodies.people.gestures import lead_hands
+from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import Array, pose_multiply
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import draw_arms
@@ -142,6 +144,9 @@ class ClipBody:
         if self._posed is None or self._posed[0] is not self.gait:
             phase = walking_phase(self.body, self._clip, self.gait)
             quats, pelvis = self.body.clip_pose([self._clip], phase, self.gait.blend, arms=self.gait.arms)
+            # as the world poses people of crowds, who sit and handle things: a leg that leans is elsewhere
+            take_seats(self.body, quats, pelvis, self.gait.seat)
+            lead_hands(self.body, quats, pelvis, self.gait.hands)
             self._posed = self.gait, quats[0], pelvis[0]
         return self._posed[1:]
 
@@ -195,6 +200,8 @@ class Traffic:
             mine[0] = theirs[self._row]
         for actor in self.actors:
             actor.follow(self._state)
+            if isinstance(own := self._state.agents[actor.number], HumanState):
+                self._company.widen(actor.number, bool(own.seat[0, 1] > 1 or own.hands[0, :, 3].any()))
             self._company.end_turn(actor.number)
         if self._step >= 0:
             self._company.end_step()

@@ -152,7 +152,7 @@ class WorldRollout:
         first = len(episode.moving) if has_skills else 0
         if getattr(episode.spec, "chores", False):
             policies = [
-                one._replace(hands=routines().get("chores")(episode, k).hands)
+                one._replace(hands=routines().get("chores")(episode, k, one.version).hands)
                 if one.takes_commands and one.kind == "human"
                 else one
                 for k, one in enumerate(policies)

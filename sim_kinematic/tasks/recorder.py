@@ -474,9 +474,9 @@ def describe(
     if any(JOIN in model for model in people):
         walks, info["motions"] = walk_attachments(people), walk_facts(people)
     if crowd := {
-        member.name: policy.policy.facts
+        member.name: policy.policy.facts if policy.hands is None else {"version": policy.version}
         for member, policy in zip(episode.roster, policies, strict=True)
-        if isinstance(policy.policy, CrowdPolicy)
+        if isinstance(policy.policy, CrowdPolicy) or policy.hands is not None
     }:
         info["people"] = crowd
     external = [k for k, policy in enumerate(policies) if policy.is_external]

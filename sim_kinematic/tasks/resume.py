@@ -294,13 +294,12 @@ def assigned_policies(
     for k, member in enumerate(episode.roster):
         choice = _chosen_for(episode, k, new)
         if k in recorded:
-            result.append(AssignedPolicy(None, named[k], member.kind))
+            result.append(repeat_crowd(AssignedPolicy(None, named[k], member.kind), recording, member.name))
             continue
         try:
             if choice is None:
                 with names_from_data():
-                    result.append(_policy(task, episode, k, named[k]))
-                repeat_crowd(result[-1], recording, member.name)
+                    result.append(repeat_crowd(_policy(task, episode, k, named[k]), recording, member.name))
             else:
                 result.append(_policy(task, episode, k, choice))
         except H3DataError as fault:
@@ -316,11 +315,17 @@ def assigned_policies(
     return result
 
 
-def repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> None:
-    """Let a person of a crowd decide by the version of the rules that the recording holds for them."""
+def repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> AssignedPolicy:
+    """Return the policy of a person, who decides by the version of the rules that the recording holds for them.
+
+    Without one, it is the first version.
+    """
+    people = recording.episode.info.get("people")
+    facts = people.get(name) if isinstance(people, dict) else None
+    version = told if isinstance(facts, dict) and isinstance(told := facts.get("version"), int) else 1
     if isinstance(assigned.policy, CrowdPolicy):
-        people = recording.episode.info.get("people")
-        assigned.policy.repeat(people.get(name) if isinstance(people, dict) else None)
+        assigned.policy.repeat(version)
+    return assigned._replace(version=version)
 
 
 def _policy(task: Task, episode: Episode, number: int, choice: Any) -> AssignedPolicy:

@@ -35,12 +35,13 @@ from h3data_pipelines.benchmark.verification import verify_episode
 from h3data_pipelines.validation.recordings import validate_recording
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.roster import make_roster
-from sim_kinematic.contact.frames import root_pose
-from sim_kinematic.crowd.crowd import ROUTINE_VERSION
+from sim_kinematic.contact.frames import body_frames, root_pose
+from sim_kinematic.crowd.crowd import VERSION
 from sim_kinematic.crowd.roles import read_role, routines
 from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.policies.crowd.people import CrowdPolicy
+from sim_kinematic.policies.traffic import ClipBody
 from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import counterfactual, resume, verify
 from sim_kinematic.tasks.resume import restored_episode as restored
@@ -178,10 +179,21 @@ def test_what_cannot_be_done_is_refused() -> None:
     assert ChoreRoutine(scene, free, [Stop("kitchen_counter_0", "put", 9.0)], body, start=near).next_stop(near) is None
 
 
+def test_robots_that_wander_see_people_in_the_posture_in_which_they_handle_things() -> None:
+    body, free = load_humanoid("male_2"), FreeSpace.from_scene(hall(), cache=False)
+    figure, state = ClipBody(body, 0, free, None), HumanState.zeros(1)
+    for seat, hand in ((0.0, 1.0), (1.0, 0.0), (2.0, 0.0)):
+        state.seat[:] = 0.45, seat
+        state.hands[0, 0], state.hands[0, 2] = (0.5, 0.9, -0.1, hand), (0.8, 0.7, 0.0, hand)
+        figure.gait = state.copy()
+        frames = body.joint_matrices(figure.base[None], figure.quats[None], figure.pelvis[None])
+        np.testing.assert_array_equal(frames, body_frames(body, state, free), "as contact poses them")
+
+
 def before_version_7(task: Any, episode: Any, number: int) -> CrowdPolicy:
     """A person who does chores by an earlier version of the rules."""
     policy = resident(task, episode, number)
-    policy.repeat({"version": 5})
+    policy.repeat(5)
     return policy
 
 
@@ -189,7 +201,7 @@ def test_recordings_of_chores_of_earlier_versions_are_simulated_again(acted: h3d
     agents = {"human": f"{__name__}:before_version_7"}
     older = h3data.simulate("wander", HOME, roster=["female_1"], agents=agents, seed=3, max_steps=700)
     versions = [next(iter(each.episode.info["people"].values()))["version"] for each in (older, acted)]
-    assert versions == [5, ROUTINE_VERSION]
+    assert versions == [5, VERSION]
     # the same person as in `acted`, but for the version that the recording holds
     as_now = {**older.episode.info, "policies": acted.episode.info["policies"]}
     assert verify(replace(older, episode=replace(older.episode, info=as_now))).difference is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ from h3data_play.messages import Chore, Gesture, Move, Pick, Sit, decode
 from h3data_play.wire import StatePacker
 from sim_kinematic.agents.driven.commands import Chore as ChoreCommand
 from sim_kinematic.agents.skills import sentence
+from sim_kinematic.crowd.crowd import VERSION
+from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.resume import counterfactual, verify
 
@@ -37,8 +40,9 @@ HOME, SHORT_HOME = "medium-open:3", "small:1"
 class Player:
     """A player without a page, whose messages go to a driver."""
 
-    def __init__(self, home: str, **rules: Any) -> None:
-        agents = {"person": External(interrupts_when_close=False), "robot": "still"}
+    def __init__(self, home: str, version: int = VERSION, **rules: Any) -> None:
+        player = AssignedPolicy(External(interrupts_when_close=False), "external", "human", version=version)
+        agents = {"person": [player], "robot": "still"}
         self.session = h3data.session("rearrange", home, agents=agents, seed=3, max_steps=4000, **rules)
         number = next(k for k, agent in enumerate(self.session.episode.roster) if agent.kind == "human")
         self.driver = PersonDriver(self.session, number)
@@ -194,6 +198,20 @@ def test_a_phone_is_a_thing_and_fills_the_hand() -> None:
     player.step(40)
     assert not player.driver.hands_full
     assert verify(player.session.close()).difference is None
+
+
+def test_players_follow_the_newest_rules_and_recordings_of_before_theirs() -> None:
+    recordings = {}
+    for version in (1, VERSION):
+        player = Player(SHORT_HOME, version, chores=True)
+        assert player.chores.routine.version == version, "by version 7, nothing is put down through walls"
+        player.step(5)
+        recordings[version] = player.session.close()
+    older, newer = recordings[1], recordings[VERSION]
+    assert newer.episode.info["people"] == {"human": {"version": VERSION}}
+    info = {name: value for name, value in older.episode.info.items() if name != "people"}
+    for recording in (newer, replace(older, episode=replace(older.episode, info=info))):
+        assert verify(recording).difference is None
 
 
 def test_sessions_have_no_things_of_chores_unless_their_rules_say_so() -> None:

@@ -322,12 +322,10 @@ def verify_episode(recording: Recording, task: Task, episode: Episode, people: A
             code="H3-TASK-072",
         )
     assigned = assign(task, episode, {} if people is None else {"human": people})
-    for mine, agent in zip(assigned, recording.agents, strict=True):
-        repeat_crowd(mine, recording, agent.name)
     own = [
         # robots repeat recorded decisions, so their policies need not be at hand
-        mine if mine.kind == "human" else AssignedPolicy(None, name, mine.kind)
-        for mine, name in zip(assigned, named, strict=True)
+        repeat_crowd(mine, recording, agent.name) if mine.kind == "human" else AssignedPolicy(None, name, mine.kind)
+        for mine, name, agent in zip(assigned, named, recording.agents, strict=True)
     ]
     repeated = task.control.recorded_policies(recording, episode, own, until=steps)
     policies = [mine if mine.kind == "human" else again for mine, again in zip(own, repeated, strict=True)]

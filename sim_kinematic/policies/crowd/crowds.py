@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from h3data.geometry import Array, pose_multiply
 from h3data.recording import Event
@@ -39,6 +38,8 @@ class CrowdMember:
     """Version of the rules of the person."""
     hands: HandWork | None = None
     """State of the person's hands; None: they handle nothing."""
+    daily: bool = False
+    """True if the person follows a routine."""
 
 
 class Moment(NamedTuple):
@@ -100,8 +101,9 @@ class Crowds:
         self._world, self._row, self._step, self._moment = world, row, -1, moment
         self._members: dict[CrowdModel, dict[int, CrowdMember]] = {}
         self._crowds: dict[CrowdModel, Crowd] = {}
-        self._order: dict[CrowdModel, tuple[NDArray[np.intp] | slice, NDArray[np.intp] | slice]] = {}
-        """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others; and the first of these."""
+        self._order: dict[CrowdModel, tuple[Any, Any, list[tuple[int, CrowdMember, HandWork]]]] = {}
+        """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others; and the first of these;
+        and those of its people whose hands work."""
         self._moved: dict[int, PoseAction] = {}
         self._places: dict[Any, Station] = {}
         """Stations in use, by the person who uses them."""
@@ -141,16 +143,18 @@ class Crowds:
                 stride=people[0].walker.stride,
                 # one for all crowds, so that people of two models do not sit down on one seat
                 places=self._places,
-                # by the rules of version 6, people with routines touched
-                version=min(5 if person.version > VERSION else person.version for person in people),
+                version=min(person.version for person in people),
+                daily=any(person.daily for person in people),
             )
             # people of other models and policies are obstacles that move
             own, discs = [number - robots for number in members], range(len(moment.radii))
             order = own + sorted(set(discs) - set(own), key=lambda k: (k < all_people, k))
             # where all people follow one model, views: sorting the rows takes longer than looking at them
             every = slice(None), slice(0, len(own))
-            self._order[model] = every if order == list(discs) else (np.array(order), np.array(own))
-        crowd, (order, own) = self._crowds[model], self._order[model]
+            workers = [(n, member, member.hands) for n, member in members.items() if member.hands is not None]
+            rows, first = every if order == list(discs) else (np.array(order), np.array(own))
+            self._order[model] = rows, first, workers
+        crowd, (order, own, workers) = self._crowds[model], self._order[model]
         places, headings = crowd.step(
             moment.places[w, order],
             moment.before[w, order],
@@ -168,15 +172,15 @@ class Crowds:
             members, places, headings.tolist(), crowd.seats.tolist(), strict=True
         ):
             self._moved[number] = PoseAction(place, angle, (height, share))
-            if (work := members[number].hands) is not None:
-                self._handle(number, members[number], work, place, angle)
+        for number, member, work in workers:
+            self._handle(number, member, work, self._moved[number].xz, self._moved[number].heading)
 
     def _handle(self, number: int, member: CrowdMember, work: HandWork, place: Array, heading: float) -> None:
         """Move hands, doors and things by what a person does who is at a place [2] with a heading after this step."""
         state, w, body = self._world.state, self._row, self._world.roster[number].body
         person, root = state.people[number - len(state.robots)], root_pose(body, place, heading, member.free)
         where = member.free, place, heading, member.walker, person.arms[w]
-        person.hands[w], held = work.beside(*where) if member.version > VERSION else (work.lead, work.held)
+        person.hands[w], held = work.beside(*where) if member.version > 6 else (work.lead, work.held)
         # worlds that learners step hold neither doors nor things
         for k, position in work.joints.items() if state.joint_pos.shape[1] else ():
             state.joint_pos[w, k] = position

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
-from sim_kinematic.crowd.crowd import ROUTINE_VERSION, VERSION, CrowdModel
+from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.crowd.errands import Agenda, Errand, HandWork
 from sim_kinematic.crowd.roles import ALONE, Role
 from sim_kinematic.crowd.traits import sample_traits
@@ -53,7 +53,7 @@ class CrowdPolicy:
             role=role,
             seed=seed,
             hands=None if routine is None else routine.hands,
-            version=VERSION if routine is None else ROUTINE_VERSION,
+            daily=routine is not None,
         )
 
     @property
@@ -74,11 +74,10 @@ class CrowdPolicy:
         """Return the place after step number ``step``, computed by the crowds of the person's world."""
         return crowds.move(self.member, agent, step)
 
-    def repeat(self, facts: Any) -> None:
-        """Decide by the version of the rules that a recording's ``facts`` name; by the first if they name none."""
-        version = facts.get("version") if isinstance(facts, dict) else None
-        self.member = replace(self.member, version=version if isinstance(version, int) else 1)
-        self._routine = None if self._routine is None else self._routine.follow(self.member.version)
+    def repeat(self, version: int) -> None:
+        """Decide by a version of the rules (`sim_kinematic.crowd.crowd.VERSION`), as in a recording."""
+        self.member = replace(self.member, version=version)
+        self._routine = None if self._routine is None else self._routine.follow(version)
 
     @property
     def facts(self) -> dict[str, Any]:

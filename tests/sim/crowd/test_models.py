@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -119,8 +120,13 @@ def test_constants_of_earlier_versions_stay():
     kept = {1: (2.0, 1.2, 0.9, 2.0, 0.6, 0.8), 3: (1.2, 1.2, 0.9, 0.7, 1.0, 1.1), 5: (1.2, 1.7, 0.9, 0.7, 1.3, 1.3)}
     for version, numbers in (kept | {4: kept[3]}).items():
         assert tuple(CrowdSpec.of_version(version).numbers[[0, 6, 7, 19, 20, 21]]) == numbers
-    assert CrowdSpec.of_version(6, wary=True) == CrowdSpec.of_version(4, wary=True), "groups decide as before"
+    assert CrowdSpec.of_version(7, wary=True) == CrowdSpec.of_version(4, wary=True), "groups decide as before"
+    assert CrowdSpec.of_version(8, wary=True) == replace(CrowdSpec.of_version(4, wary=True), company_m=0.0)
     assert len({CrowdSpec.of_version(version) for version in (3, 4, 5, 6)}) == 4
+    for version in (6, 7, 8):
+        assert CrowdSpec.of_version(version, wary=True, early=True) == CrowdSpec.of_version(4, wary=True)
+        assert replace(CrowdSpec.of_version(version, early=True), version=5) == CrowdSpec.of_version(5)
+        assert replace(CrowdSpec.of_version(version), version=6) == CrowdSpec.of_version(6)
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.1, 1.5), st.booleans())
