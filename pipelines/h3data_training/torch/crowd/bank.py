@@ -15,16 +15,13 @@ from h3data.scene import FreeSpace, Scene
 from h3data_training.torch.episodes import columns_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
-from sim_kinematic.crowd.crowd import ARRIVED_M, ATTEMPTS, CrowdModel
+from sim_kinematic.crowd.crowd import ARRIVED_M, ATTEMPTS
 from sim_kinematic.crowd.traits import Traits, sample_traits
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
-
-MODELS: tuple[CrowdModel, ...] = ("orca", "social_force")
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrowdBank:

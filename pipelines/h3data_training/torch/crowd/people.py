@@ -52,8 +52,9 @@ from sim_kinematic.motion.stride import PROGRESS_M as SEARCH_M
 SIGHT_M, SIGHTS = 0.05, 32
 """Distance from an obstacle to the line between two places below which it hides them from each other [m], and largest number
 of strides along that line: 30 sufficed for 9,000 random lines of up to 6 m in homes of h3-homes/val."""
-SEARCHES = 40
-"""Largest number of steps of `SEARCH_M` by which the place on a path advances in a step; walking fast takes 4."""
+SEARCHES = 24
+"""Largest number of steps of `SEARCH_M` by which the place on a path advances in a step. Walking fast takes 4; more are needed
+after a goal, near the beginning of the next path."""
 GIVES_WAY = 30
 """Number of places on the path of another person that people who give way look at, `AHEAD_M` apart."""
 
