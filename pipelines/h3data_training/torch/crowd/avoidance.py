@@ -120,9 +120,7 @@ def _least_violations(planes: HalfPlanes, wanted: Tensor, most: Tensor) -> Tenso
     return torch.gather(tried, 0, best[None, ..., None].expand(1, *best.shape, 2))[0]
 
 
-def interactions(
-    gap: Tensor, relative: Tensor, lambda_: float, gamma: float, n: float, n_prime: float
-) -> Tensor:
+def interactions(gap: Tensor, relative: Tensor, lambda_: float, gamma: float, n: float, n_prime: float) -> Tensor:
     """Return the accelerations [..., 2] caused by neighbours, before they are weighted.
 
     The arguments are those of `sim_kinematic.crowd.social_force.interaction`, with positions of neighbours ``gap`` [..., 2]
@@ -134,9 +132,7 @@ def interactions(
     size = length(line)
     line = line / size.clamp_min(1e-9)[..., None]
     reach = gamma * size.clamp_min(1e-9)
-    theta = wrap_angle(
-        torch.atan2(towards[..., 1], towards[..., 0]) - torch.atan2(line[..., 1], line[..., 0])
-    )
+    theta = wrap_angle(torch.atan2(towards[..., 1], towards[..., 0]) - torch.atan2(line[..., 1], line[..., 0]))
     slow = -torch.exp(-distance / reach - (n_prime * reach * theta).square())
     turn = torch.exp(-distance / reach - (n * reach * theta).square())
     turn = torch.where(theta >= 0.0, -turn, turn)

@@ -23,6 +23,7 @@ from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
 
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrowdBank:
     """Bank of N episodes with P people each, whose chains of goals last for an episode in which nobody is in their way."""

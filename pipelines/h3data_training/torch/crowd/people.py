@@ -122,6 +122,7 @@ class Paths:
 
     def at(self, row: Tensor) -> Paths:
         """Return the paths in given rows."""
+        row = row.contiguous()
         return Paths(points=self.points[row], lengths=self.lengths[row], last=self.last[row], total=self.total[row])
 
     def of(self, person: Tensor) -> Paths:
@@ -142,7 +143,7 @@ class Paths:
     def point(self, along: Tensor) -> Tensor:
         """Return the points [n, P, W, 2] at distances ``along`` [n, P, W] [m] (`sim_kinematic.motion.stride.point_along`)."""
         at = along.movedim(0, -1).contiguous()
-        k = torch.searchsorted(self.lengths, at).clamp_min(1).minimum(self.last[..., None])
+        k = torch.searchsorted(self.lengths.contiguous(), at).clamp_min(1).minimum(self.last[..., None])
         before, after = self.lengths.gather(-1, k - 1), self.lengths.gather(-1, k)
         size = after - before
         share = torch.where(size > 0.0, ((at - before) / size.clamp_min(1e-12)).clamp(0.0, 1.0), 1.0)[..., None]
@@ -237,13 +238,18 @@ class CrowdRules:
         pause = (traits.reaction_s / STEP_S + 0.5).floor().clamp_min(1.0)
         number = torch.arange(len(xz), device=xz.device)[:, None]
         decides = torch.remainder(step + number, pause) == 0.0
-        crowd = crowd._replace(
-            claim=claims.since, chosen=torch.where(decides[..., None], velocity, crowd.chosen)
-        )
+        crowd = crowd._replace(claim=claims.since, chosen=torch.where(decides[..., None], velocity, crowd.chosen))
         return self._followed(grids, crowd, xz, heading, around)
 
     def _next_legs(
-        self, all_paths: Paths, rows: Tensor, legs: Tensor, traits: Traits, crowd: CrowdTensors, xz: Tensor, step: Tensor
+        self,
+        all_paths: Paths,
+        rows: Tensor,
+        legs: Tensor,
+        traits: Traits,
+        crowd: CrowdTensors,
+        xz: Tensor,
+        step: Tensor,
     ) -> CrowdTensors:
         """Return the state with the next leg of people who have arrived, and the same in reverse of those who are stuck."""
         now = rows + 2 * crowd.leg + crowd.back
@@ -481,15 +487,14 @@ class CrowdRules:
             step = end[m] - xz[m]
             going, least = torch.ones_like(step[:, 0], dtype=torch.bool), here[m].clamp_max(WALL_M)
             for attempt in range(SLIDES):
-                free = torch.ones_like(going)
-                for towards, near, apart in zip(gap, reach, square, strict=True):
-                    along = dot(step, towards)
-                    hits = going & (length(towards - step) < near) & (along > 0.0)
-                    free = free & ~hits
+                closest, slid = torch.where(going, reach, 0.0), torch.zeros_like(speeds[m])
+                for towards, near, apart in zip(gap, closest, square, strict=True):
+                    along = (step * towards).sum(-1)
+                    hits = (length(towards - step) < near) & (along > 0.0)
                     # without the part of the step that leads towards the other, it passes beside them
-                    share = torch.where(hits, along / apart.clamp_min(1e-12), 0.0)
-                    step = step - share[:, None] * towards
-                going = going & ~free
+                    share = torch.where(hits, along / apart, 0.0)
+                    step, slid = step - share[:, None] * towards, slid + share
+                going = going & (slid > 0.0)
                 stops = going
                 if attempt < SLIDES - 1:
                     stops = going & (sample_sdf(grids, xz[m] + step).distance < least)

@@ -131,7 +131,9 @@ class CrowdWorlds(TaskTensors):
         now = torch.cat([play.human.xz, discs(play.robot)])
         before = torch.cat([play.human_before_xz, discs(Pose(play.before_xz, play.before_heading))])
         people = self._traits[play.episode, :, Traits._fields.index("radius_m")].movedim(1, 0)
-        radius = torch.cat([people, people.new_full((len(now) - self.people, people.shape[1]), self.base.disc_radius_m)])
+        radius = torch.cat(
+            [people, people.new_full((len(now) - self.people, people.shape[1]), self.base.disc_radius_m)]
+        )
         return Surroundings(now, (now - before) / STEP_S, radius)
 
 
