@@ -20,8 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    import torch
-
     from h3data_training.torch.crowd.bank import CrowdBank
 
 Emit = Callable[[str, float, str], None]

@@ -81,7 +81,7 @@ def make_any(
     script = options.pop("partner", None) or task.defaults["human"]
     if script in MODELS:
         with enough_memory(device, worlds, task.name):
-            return CrowdTorchEnv(task, worlds, scenes, model=script, device=device, **options)
+            return CrowdTorchEnv(task, worlds, scenes, model=MODELS[MODELS.index(script)], device=device, **options)
     if script != "waypoints":
         raise InputError(
             f"On a torch device people of {task.name} walk by 'waypoints' or, without reactions, groups and routines, by "

@@ -59,8 +59,8 @@ class CrowdTorchEnv(TaskTorchEnv):
         for name in options:
             if name not in known:
                 raise InputError(
-                    f"Worlds of {task.name} on a device have no option {name!r}.{suggest(name, known, lead='Expected some of')}",
-                    code="H3-ENV-901",
+                    f"On a device, {task.name} has no option {name!r}.{suggest(name, known, lead='Expected some of')}",
+                    code="H3-ENV-058",
                 )
         bank, self.model = options.get("episodes"), model
         bodies = {name: options[name] for name in ("robot", "human") if name in options}

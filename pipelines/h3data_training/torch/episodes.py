@@ -79,7 +79,7 @@ class EpisodeBank:
         if (kinds := kinds_of(source.roster)) != PAIR:
             raise InputError(
                 f"On a device a task is of one robot and one person, {task.name} has: {', '.join(kinds)}. "
-                "Hint: leave out device.",
+                "Hint: partner='orca', or leave out device.",
                 code="H3-ENV-038",
             )
         runs = [(seed, k) for k in range(count)]

@@ -17,7 +17,8 @@ from h3data.errors import InputError  # noqa: E402
 from h3data_crowds.crowd_nav import CrowdNav, CrowdNavSpec  # noqa: E402
 from h3data_training.envs.crowd_torch_env import CrowdTorchEnv  # noqa: E402
 from h3data_training.torch.contact import TOLERANCE_M  # noqa: E402
-from h3data_training.torch.crowd import avoidance, bank as banks  # noqa: E402
+from h3data_training.torch.crowd import avoidance  # noqa: E402
+from h3data_training.torch.crowd import bank as banks  # noqa: E402
 from h3data_training.torch.crowd.bank import CrowdBank  # noqa: E402
 from h3data_training.torch.crowd.worlds import CrowdWorlds  # noqa: E402
 from sim_kinematic.crowd.errands import Errand  # noqa: E402
@@ -47,7 +48,7 @@ def test_half_planes_and_velocities_are_those_of_the_kernels():
     rng = np.random.default_rng(0)
     gaps, relative = rng.uniform(-2, 2, (5, 300, 2)), rng.uniform(-2, 2, (5, 300, 2))
     radius, horizon, share = rng.uniform(0.3, 1.2, (5, 300)), rng.uniform(0.5, 2, (5, 300)), rng.uniform(0, 1, (5, 300))
-    given = [torch.tensor(values) for values in (gaps, relative, radius, horizon)]
+    given: Any = [torch.tensor(values) for values in (gaps, relative, radius, horizon)]
     planes = avoidance.half_planes(*given, 0.5, torch.tensor(share))
     wanted, most = rng.uniform(-1.5, 1.5, (300, 2)), rng.uniform(0.3, 1.5, 300)
     velocities = avoidance.nearest_velocities(planes, torch.tensor(wanted), torch.tensor(most))
@@ -93,7 +94,7 @@ class Pair:
 
         monkeypatch.setattr(cpu_people.CrowdPolicy, "_guide", guide)
         self.stepper = WorldStepper(CrowdNav(), HOME, worlds=WORLDS, spec=spec, partner=model, observations=SHOWN)
-        self.stepper.begin([SEED] * WORLDS, np.arange(WORLDS), np.ones(WORLDS, np.bool_))
+        self.stepper.begin([SEED] * WORLDS, list(range(WORLDS)), np.ones(WORLDS, np.bool_))
         self.sim = CrowdWorlds(self.bank, model=model, task=CrowdNav(), device="cpu", spec=spec)
         self.play = self.sim.step(self.sim.before_the_first(torch.arange(WORLDS) - 1), torch.zeros(WORLDS, 2))
 
@@ -175,6 +176,7 @@ def test_each_step_is_that_of_the_cpu(model: str, monkeypatch: pytest.MonkeyPatc
     both, differ, met = Pair(model, monkeypatch), 0, 0
     for k, action in enumerate(drives(600)):
         both.step(action)
+        crowd: Any = both.play.crowd
         differ += int((both.apart() > 1e-8).sum())
         touching = both.cpu.world.touching[:, :PEOPLE]
         met += int(touching.sum())
@@ -182,7 +184,7 @@ def test_each_step_is_that_of_the_cpu(model: str, monkeypatch: pytest.MonkeyPatc
         for p in range(PEOPLE):
             person = type(both.play.human)(*(t[p] for t in both.play.human))
             sure = gap(both.play.robot, person).abs() > 3 * TOLERANCE_M
-            np.testing.assert_array_equal(both.play.crowd.touching[p][sure], touching[:, p][sure])
+            np.testing.assert_array_equal(crowd.touching[p][sure], touching[:, p][sure])
         if k:
             both.take_over()
     assert differ <= 5, differ
@@ -240,7 +242,7 @@ def test_make_gives_any_number_of_people_the_same_again() -> None:
         )
         assert isinstance(env, CrowdTorchEnv)
         assert "crowd_nav" in repr(env)
-        seen = []
+        seen, reward = [], torch.zeros(3)
         for _ in range(2):
             observation, info = env.reset(seed=0)
             for _ in range(3):
@@ -265,8 +267,9 @@ def test_episodes_begin_again_where_the_next_of_the_bank_does(bank: CrowdBank) -
     )
     _, info = env.reset(seed=0)
     first = info["episode"]
-    for _ in range(4):
-        *_, truncated, info = env.step(torch.zeros(2, 2))
+    for _ in range(3):
+        env.step(torch.zeros(2, 2))
+    *_, truncated, info = env.step(torch.zeros(2, 2))
     assert truncated.all()
     _, reward, terminated, truncated, info = env.step(torch.zeros(2, 2))
     assert not (terminated | truncated).any()
@@ -281,7 +284,8 @@ def test_actions_that_are_not_finite_count_as_0(bank: CrowdBank) -> None:
     env = h3data.make("crowd_nav", num_envs=2, device="cpu", episodes=bank, spec=RULES, observations=("goal_gps",))
     env.reset(seed=0)
     observation, reward, *_ = env.step(torch.tensor([[torch.nan, torch.inf], [0.0, 0.0]]))
-    assert torch.isfinite(observation["goal_gps"]).all() and torch.isfinite(reward).all()
+    assert torch.isfinite(observation["goal_gps"]).all()
+    assert torch.isfinite(reward).all()
     with pytest.raises(InputError, match="H3-ENV-010"):
         env.step(torch.zeros(2, 3))
 
@@ -306,12 +310,12 @@ def test_what_no_device_has_is_named(bank: CrowdBank) -> None:
 
     wrong("H3-ENV-036", partner="orca+curious")
     wrong("H3-ENV-036", partner="wander")
-    wrong("H3-ENV-901", noise={})
-    wrong("H3-ENV-901", light="baked")
-    wrong("H3-ENV-901", depth_size=(64, 48))
-    wrong("H3-ENV-900", roster="robot,robot,human", episodes=1)
-    wrong("H3-ENV-900", roster="human,human", episodes=1)
-    wrong("H3-ENV-900", roster="robot,female_0,male_0", episodes=1)
+    wrong("H3-ENV-058", noise={})
+    wrong("H3-ENV-058", light="baked")
+    wrong("H3-ENV-058", depth_size=(64, 48))
+    wrong("H3-ENV-059", roster="robot,robot,human", episodes=1)
+    wrong("H3-ENV-059", roster="human,human", episodes=1)
+    wrong("H3-ENV-059", roster="robot,female_0,male_0", episodes=1)
     wrong("H3-ENV-001", agents=("robot", "human_1"))
     wrong("H3-ENV-008", observations=("arm_depth",))
     wrong("H3-ENV-008", observations=("humanoid_gps",), roster="robot", episodes=1)

@@ -115,7 +115,7 @@ def require_crowd(task: str, roster: Sequence[AgentSpec], like: Sequence[AgentSp
         raise InputError(
             f"On a device, episodes of {task} have one robot and always the same number of people, all with one body; got "
             f"{', '.join(member.model for member in roster)}. Hint: another roster, or leave out device.",
-            code="H3-ENV-900",
+            code="H3-ENV-059",
         )
 
 

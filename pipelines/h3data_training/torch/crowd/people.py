@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -45,7 +45,7 @@ from sim_kinematic.crowd.step import (
     STRIDE_M,
     WALL_M,
 )
-from sim_kinematic.crowd.traits import CrowdSpec, Traits
+from sim_kinematic.crowd.traits import CrowdSpec
 from sim_kinematic.motion.spec import STEP_S, StrideSpec
 from sim_kinematic.motion.stride import PROGRESS_M as SEARCH_M
 
@@ -196,7 +196,7 @@ class CrowdRules:
         all_paths: Paths,
         rows: Tensor,
         legs: Tensor,
-        traits: Traits,
+        traits: Any,
         crowd: CrowdTensors,
         xz: Tensor,
         heading: Tensor,
@@ -210,7 +210,7 @@ class CrowdRules:
             all_paths: Legs of all people; a leg and the same leg in reverse are next to each other.
             rows: Row of the first leg of each person, int64 [P, W].
             legs: Number of legs of each person, int64 [P, W].
-            traits: Traits of the people, [P, W] each.
+            traits: `sim_kinematic.crowd.traits.Traits` of the people, [P, W] each.
             crowd: State of the people.
             xz: Places of the people [P, W, 2] [m].
             heading: Headings of the people [P, W] [rad].
@@ -246,7 +246,7 @@ class CrowdRules:
         all_paths: Paths,
         rows: Tensor,
         legs: Tensor,
-        traits: Traits,
+        traits: Any,
         crowd: CrowdTensors,
         xz: Tensor,
         step: Tensor,
@@ -360,7 +360,7 @@ class CrowdRules:
         firsts: Tensor,
         gives: Tensor,
         wanted: Tensor,
-        traits: Traits,
+        traits: Any,
     ) -> Tensor:
         """Return the velocities [P, W, 2] [m/s] that people choose (`choose_velocity`)."""
         spec, people, everybody = self.spec, len(xz), len(around.xz)
@@ -521,7 +521,7 @@ def _progress(paths: Paths, along: Tensor, xz: Tensor) -> Tensor:
 
 
 def _sees(grids: Grids, xz: Tensor, gap: Tensor, distance: Tensor) -> Tensor:
-    """Return whether the straight lines ``gap`` [P, N, W, 2] from places [P, W, 2] are free (`sim_kinematic.crowd.reactions.sees`)."""
+    """Return whether lines ``gap`` [P, N, W, 2] from places [P, W, 2] are free (`sim_kinematic.crowd.reactions.sees`)."""
     start, unit = xz[:, None], gap / distance.clamp_min(1e-9)[..., None]
     at, hidden = torch.zeros_like(distance), torch.zeros_like(distance, dtype=torch.bool)
     for _ in range(SIGHTS):

@@ -30,7 +30,10 @@ class CrowdWorlds(TaskTensors):
     def __init__(self, bank: CrowdBank, *, model: CrowdModel, **options: Any) -> None:
         """Create the worlds with the options of `TaskTensors`; people follow a crowd model, by the present rules."""
         people = [member.model for member in bank.roster if member.kind == "human"]
-        super().__init__(bank, **{**options, "robot": bank.roster[0].model, **({"human": people[0]} if people else {})})
+        episodes: Any = bank
+        super().__init__(
+            episodes, **{**options, "robot": bank.roster[0].model, **({"human": people[0]} if people else {})}
+        )
         self.roster, self.people = bank.roster, len(people)
         # as for `sim_kinematic.crowd.crowd.Crowd` of people without routine, company or reaction
         version = VERSION if model == "orca" else min(VERSION, 5)
@@ -94,7 +97,7 @@ class CrowdWorlds(TaskTensors):
             self._paths,
             self._first_rows[episode].movedim(1, 0),
             self._leg_counts[episode].movedim(1, 0),
-            Traits(*self._traits[episode].movedim(1, 0).unbind(-1)),
+            Traits._make(self._traits[episode].movedim(1, 0).unbind(-1)),
             crowd,
             play.human.xz,
             play.human.heading,
