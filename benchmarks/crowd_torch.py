@@ -104,7 +104,7 @@ def _walks(model: Any, episodes: int) -> dict[str, NDArray[np.float64]]:
     bank = CrowdBank.draw(PLACES, episodes, task=task, spec=spec)
     number, everywhere = np.arange(episodes), np.ones(episodes, np.bool_)
     stepper = WorldStepper(task, PLACES, worlds=episodes, spec=spec, partner=model, observations=("goal_gps",))
-    stepper.begin([0] * episodes, number, everywhere)
+    stepper.begin([0] * episodes, number.tolist(), everywhere)
     sim, still = CrowdWorlds(bank, model=model, task=task, spec=spec, device="cpu"), torch.zeros(episodes, 2)
     play = sim.step(sim.before_the_first(torch.as_tensor(number) - 1), still)
     walks: dict[str, list[Any]] = {"numpy": [], "device": []}

@@ -25,6 +25,7 @@ class CrowdTorchEnv(TaskTorchEnv):
     """W worlds of a task with a crowd of P people each on one device (h3data docs crowds)."""
 
     sim: CrowdWorlds
+    model: CrowdModel
     pictured = ()
 
     def __init__(
@@ -86,13 +87,13 @@ class CrowdTorchEnv(TaskTorchEnv):
 
     def __repr__(self) -> str:
         models = [member.model for member in self._agents]
-        people = f"{len(models) - 1} x {models[1]} by {self.model}" if models[1:] else "nobody"
+        people = {"people": f"{len(models) - 1} x {models[1]} by {self.model}"} if models[1:] else None
         what = in_words(
             self.task.name,
             self.bank.scenes,
             len(self.bank.scenes),
             {"robot": models[0]},
-            beside={"people": people},
+            beside=people,
             worlds=self.num_envs,
         )
         return f"{type(self).__name__}({what}, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"

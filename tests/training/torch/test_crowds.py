@@ -48,8 +48,9 @@ def test_half_planes_and_velocities_are_those_of_the_kernels():
     rng = np.random.default_rng(0)
     gaps, relative = rng.uniform(-2, 2, (5, 300, 2)), rng.uniform(-2, 2, (5, 300, 2))
     radius, horizon, share = rng.uniform(0.3, 1.2, (5, 300)), rng.uniform(0.5, 2, (5, 300)), rng.uniform(0, 1, (5, 300))
-    given: Any = [torch.tensor(values) for values in (gaps, relative, radius, horizon)]
-    planes = avoidance.half_planes(*given, 0.5, torch.tensor(share))
+    given = [torch.tensor(values) for values in (gaps, relative, radius, horizon)]
+    gap, moves, reach, ahead = given
+    planes = avoidance.half_planes(gap, moves, reach, ahead, 0.5, torch.tensor(share))
     wanted, most = rng.uniform(-1.5, 1.5, (300, 2)), rng.uniform(0.3, 1.5, 300)
     velocities = avoidance.nearest_velocities(planes, torch.tensor(wanted), torch.tensor(most))
     for w in range(300):
@@ -288,6 +289,35 @@ def test_actions_that_are_not_finite_count_as_0(bank: CrowdBank) -> None:
     assert torch.isfinite(reward).all()
     with pytest.raises(InputError, match="H3-ENV-010"):
         env.step(torch.zeros(2, 3))
+
+
+@pytest.mark.slow
+def test_a_policy_learns_in_it() -> None:
+    """REINFORCE with a linear policy of distance and angle of the goal: the reward of a second rises."""
+    torch.manual_seed(0)
+    bank = CrowdBank.draw(HOME, 16, seed=SEED, task=CrowdNav(), spec=RULES, agents=["robot", "human", "human"])
+    shown = ("goal_gps",)
+    env = h3data.make(
+        "crowd_nav", num_envs=128, device="cpu", episodes=bank, spec=RULES, observations=shown, dtype=torch.float32
+    )
+    policy = torch.nn.Linear(3, 2)
+    torch.nn.init.zeros_(policy.weight)
+    optimizer, gains = torch.optim.Adam(policy.parameters(), lr=0.1), []
+    for _ in range(14):
+        gps = env.reset(seed=1)[0]["goal_gps"]
+        gain, likely = torch.zeros(128), torch.zeros(128)
+        for _ in range(30):
+            at = torch.distributions.Normal(policy(torch.cat([gps.clamp_max(3), gps[:, 1:].cos()], 1)), 0.5)
+            action = at.sample()
+            likely = likely + at.log_prob(action).sum(1)
+            seen, reward, *_ = env.step(action)
+            gps, gain = seen["goal_gps"], gain + reward
+        advantage = (gain - gain.mean()) / gain.std()
+        optimizer.zero_grad()
+        (-(advantage * likely).mean()).backward()
+        optimizer.step()
+        gains.append(float(gain.mean()))
+    assert np.mean(gains[-3:]) > gains[0] + 0.25, gains
 
 
 @pytest.mark.parametrize("model", ["orca", "social_force"])
