@@ -169,7 +169,7 @@ class Claims(NamedTuple):
     since: Tensor
     """One more than the step in which the person came to the place; 0 if there is none."""
     place: Tensor
-    """Where the place begins for them [P, W, 2] [m]."""
+    """Point where the place begins for them [P, W, 2] [m]."""
     line: Tensor
     """Direction in which they pass it [P, W, 2]."""
     inside: Tensor
