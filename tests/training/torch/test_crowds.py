@@ -13,6 +13,7 @@ pytest.importorskip("shapely")
 pytest.importorskip("fcl")
 
 import h3data  # noqa: E402
+from examples.point_goal import PointGoal  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
 from h3data_crowds.crowd_nav import CrowdNav, CrowdNavSpec  # noqa: E402
 from h3data_training.envs.crowd_torch_env import CrowdTorchEnv  # noqa: E402
@@ -255,6 +256,16 @@ def test_make_gives_any_number_of_people_the_same_again() -> None:
             seen.append(observation)
         assert env.play.human.xz.shape == (people, 3, 2)
         assert all(torch.equal(seen[0][name], seen[1][name]) for name in shown)
+
+
+def test_other_tasks_have_crowds_too() -> None:
+    shown: Any = {"num_envs": 2, "device": "cpu", "episodes": 1, "observations": ("goal_gps",), "partner": "orca"}
+    env = h3data.make(PointGoal(), "small:1", roster=["robot", "human", "human"], **shown)
+    env.reset(seed=0)
+    *_, info = env.step(torch.ones(2, 2))
+    assert info["success"].shape == (2,)
+    with pytest.raises(InputError, match="H3-ENV-040"):  # its functions are for NumPy alone
+        h3data.make("wander", "small:1", **{**shown, "observations": ("egomotion",)})
 
 
 def test_episodes_begin_again_where_the_next_of_the_bank_does(bank: CrowdBank) -> None:
