@@ -265,7 +265,7 @@ def test_other_tasks_have_crowds_too() -> None:
     *_, info = env.step(torch.ones(2, 2))
     assert info["success"].shape == (2,)
     with pytest.raises(InputError, match="H3-ENV-040"):  # its functions are for NumPy alone
-        h3data.make("wander", "small:1", **{**shown, "observations": ("egomotion",)})
+        h3data.make("wander", "small:1", **dict(shown, observations=("egomotion",)))
 
 
 def test_episodes_begin_again_where_the_next_of_the_bank_does(bank: CrowdBank) -> None:
