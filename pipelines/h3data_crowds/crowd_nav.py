@@ -127,14 +127,16 @@ class CrowdNav(Task):
         memory["left"], memory["done"] = left, memory["done"] | arrived
         reward = spec.progress_reward * (before - left) + spec.arrive_reward * arrived
         reward = reward + spec.collision_reward * touching + spec.personal_reward * near
-        fails = touching & spec.end_on_collision
+        # events and not flags decide on the word that is recorded, as on a device nobody may ask for values
+        reached = play.events_where(arrived, "arrived", agent=0)
+        touched = play.events_where(touching, "collision", agent=0)
         return StepOutcome(
             reward=reward,
-            terminated=over | fails,
+            terminated=over | (touching & spec.end_on_collision),
             success=memory["done"],
             columns={"metrics.goal_distance": left, "metrics.personal_space": near},
-            events=play.events_where(arrived, "arrived", agent=0) + play.events_where(touching, "collision", agent=0),
-            ended="collision" if bool(fails.any()) and not bool(arrived.any()) else "",
+            events=[*reached, *touched],
+            ended="collision" if touched and spec.end_on_collision and not reached else "",
         )
 
     def goals(self, play: WorldRollout) -> Any:

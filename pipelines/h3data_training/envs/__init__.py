@@ -16,6 +16,7 @@ from sim_kinematic.tasks.sources import Scenes
 from sim_kinematic.tasks.task import Task
 
 if TYPE_CHECKING:
+    from h3data_training.envs.crowd_torch_env import CrowdTorchEnv
     from h3data_training.envs.rearrange_torch_env import RearrangeTorchEnv
     from h3data_training.envs.social_nav_torch_env import SocialNavTorchEnv
     from h3data_training.envs.task_torch_env import TaskTorchEnv
@@ -56,10 +57,10 @@ def make_rearrange(
 
 def make_any(
     worlds: int, scenes: Scenes, *, task: Task, device: Any, agents: Sequence[str], **options: Any
-) -> TaskTorchEnv | RearrangeTorchEnv:
-    """Make the environment of a task of one robot and one person.
+) -> TaskTorchEnv | RearrangeTorchEnv | CrowdTorchEnv:
+    """Make the environment of a task of one robot and one person, or of one robot and the people of a crowd.
 
-    ``options`` are those of `TaskTorchEnv` or, for tasks with objects, of `RearrangeTorchEnv`.
+    ``options`` are those of `TaskTorchEnv`, for crowds of `CrowdTorchEnv`, and for tasks with objects of `RearrangeTorchEnv`.
 
     Raises:
         InputError: the task has another roster, its functions do not support tensors, or an option is invalid.
@@ -73,15 +74,20 @@ def make_any(
             code="H3-ENV-035",
         )
     _require_robot(task.name, agents)
-    script = options.pop("partner", None) or task.defaults["human"]
-    if script != "waypoints":
-        raise InputError(
-            f"On a torch device the person of {task.name} walks by 'waypoints', not {script!r}. Hint: partner='waypoints'.",
-            code="H3-ENV-036",
-        )
+    from h3data_training.envs.crowd_torch_env import MODELS, CrowdTorchEnv
     from h3data_training.envs.task_torch_env import TaskTorchEnv
     from h3data_training.envs.torch_env import enough_memory
 
+    script = options.pop("partner", None) or task.defaults["human"]
+    if script in MODELS:
+        with enough_memory(device, worlds, task.name):
+            return CrowdTorchEnv(task, worlds, scenes, model=MODELS[MODELS.index(script)], device=device, **options)
+    if script != "waypoints":
+        raise InputError(
+            f"On a torch device people of {task.name} walk by 'waypoints' or, without reactions, groups and routines, by "
+            f"{' or '.join(map(repr, MODELS))}; not {script!r}. Hint: partner='{MODELS[0]}'.",
+            code="H3-ENV-036",
+        )
     with enough_memory(device, worlds, task.name):
         return TaskTorchEnv(task, worlds, scenes, device=device, **options)
 

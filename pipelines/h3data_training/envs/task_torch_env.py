@@ -79,6 +79,9 @@ class TaskTorchEnv(TorchEnv[Play]):
     The worlds play the episodes of a bank in order, each from a position that depends on its seed.
     """
 
+    pictured: tuple[str, ...] = PICTURED
+    """Observations that need a rendered picture and can be had in these worlds."""
+
     def __init__(
         self,
         task: Task,
@@ -124,18 +127,14 @@ class TaskTorchEnv(TorchEnv[Play]):
         Raises:
             InputError: an argument is not supported on devices, or there is no such device.
         """
-        from h3data_training.torch.episodes import EpisodeBank
-
-        self.task, self.name, known = task, task.name, (*PICTURED, *self._sensors(task))
+        self.task, self.name, known = task, task.name, (*self.pictured, *self._sensors(task))
         if set(observations) - set(known) or not observations or isinstance(observations, str):
             raise InputError(f"On a device there are {', '.join(known)}, got {observations!r}.", code="H3-ENV-008")
         super().__init__(num_envs, device, graph=graph, compile=compile)
         rules = spec or task.usage.env_rules or task.Spec()
         bodies = {"robot": robot, "human": human}
         self._models = robot, human
-        if not isinstance(episodes, EpisodeBank):
-            episodes = EpisodeBank.draw(scenes, episodes, seed=episodes_seed, task=task, spec=rules, **bodies)
-        self.bank = episodes
+        self.bank = self._drawn(scenes, episodes, seed=episodes_seed, task=task, spec=rules, **bodies)
         self._names = tuple(dict.fromkeys(observations))
         self.sim = self._make_worlds(
             device=self.device, dtype=dtype, spec=rules, end_on_success=end_on_success, **bodies
@@ -148,6 +147,12 @@ class TaskTorchEnv(TorchEnv[Play]):
         nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
         self.play = self.sim.before_the_first(nothing)
         self._shown: Tensors = {}
+
+    def _drawn(self, scenes: Scenes, episodes: Any, **options: Any) -> Any:
+        """Return ``episodes``, or a bank of as many that are sampled in some scenes."""
+        from h3data_training.torch.episodes import EpisodeBank
+
+        return episodes if isinstance(episodes, EpisodeBank) else EpisodeBank.draw(scenes, episodes, **options)
 
     @staticmethod
     def _sensors(task: Task) -> Mapping[str, Sensor]:

@@ -79,7 +79,7 @@ class EpisodeBank:
         if (kinds := kinds_of(source.roster)) != PAIR:
             raise InputError(
                 f"On a device a task is of one robot and one person, {task.name} has: {', '.join(kinds)}. "
-                "Hint: leave out device.",
+                "Hint: partner='orca', or leave out device.",
                 code="H3-ENV-038",
             )
         runs = [(seed, k) for k in range(count)]
@@ -107,7 +107,7 @@ class EpisodeBank:
             way_points=padded[..., :2].copy(),
             headings=padded[..., 2].copy() if strides else None,
             seeds=np.array([episode.seed for episode in episodes], np.int64),
-            extra=_columns([episode.extra for episode in episodes]),
+            extra=columns_of([episode.extra for episode in episodes]),
         )
 
     @classmethod
@@ -127,15 +127,21 @@ class EpisodeBank:
             place=np.concatenate([bank.place + n for bank, n in zip(banks, first[:-1], strict=True)]),
             way_points=np.concatenate([padded(bank.way_points) for bank in banks]),
             headings=np.concatenate([padded(h) for h in headings]) if len(headings) == len(banks) else None,
-            extra=_columns([{name: rows[n] for name, rows in b.extra.items()} for b in banks for n in range(len(b))]),
+            extra=columns_of([{name: rows[n] for name, rows in b.extra.items()} for b in banks for n in range(len(b))]),
             **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
         )
+
+    @property
+    def starts(self) -> NDArray[np.float64]:
+        """Starts ``(x, z, heading)`` of robot and person, [N, 2, 3]."""
+        robot, human = (self.robot_xz, self.robot_heading), (self.human_xz, self.human_heading)
+        return np.stack([np.column_stack(agent) for agent in (robot, human)], 1)
 
     def __len__(self) -> int:
         return len(self.place)
 
 
-def _columns(of_episodes: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
+def columns_of(of_episodes: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
     """Return entries that are numbers, and of one shape in all episodes, as arrays [N, ...]."""
     found = {}
     for name in of_episodes[0]:

@@ -55,6 +55,14 @@ class HumanTensors(NamedTuple):
         """Return people copied to a device."""
         return cls(*_on_device([getattr(state, name) for name in cls._fields], device, dtype))
 
+    def begun(self, start: Tensor, fresh: Tensor) -> Self:
+        """Return the people, who stand at their starts ``(x, z, heading)`` [..., W, 3] in worlds that are ``fresh`` [W]."""
+        return type(self)(
+            torch.where(fresh[:, None], start[..., :2], self.xz),
+            torch.where(fresh, start[..., 2], self.heading),
+            *(torch.where(fresh, 0.0, t) for t in self[2:]),
+        )
+
     def put(self, state: HumanState) -> None:
         """Copy the people into arrays; this waits for the device."""
         for name, tensor in self._asdict().items():

@@ -30,6 +30,7 @@ from h3data_training.torch.rules import refuse_others
 from h3data_training.torch.seen import clearance, free_along
 from h3data_training.torch.state import HumanTensors, RobotTensors, choose, tensors_of
 from h3data_training.torch.step import Grids, drive_robots, heading_direction, move_humans, refuse_stairs, walk_humans
+from sim_kinematic.agents.roster import AgentSpec, make_roster
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.outlines import legs_at, shins
 from sim_kinematic.motion.spec import PersonContact
@@ -37,6 +38,7 @@ from sim_kinematic.motion.state import ROBOT
 from sim_kinematic.sensing.sensor import in_base_frame
 from sim_kinematic.sensing.table import Pose, SensorContext, sensed
 from sim_kinematic.tasks.control import resting_arm
+from sim_kinematic.tasks.rearrange.episode import PAIR
 from sim_kinematic.tasks.task import Task
 
 
@@ -45,6 +47,7 @@ class Play(NamedTuple):
 
     robot: RobotTensors
     human: HumanTensors
+    """The person, or P people of a crowd, whose tensors are [P, W, ...]."""
     episode: Tensor
     """Number of the episode in the bank, int64 [W]."""
     leg: Tensor
@@ -56,18 +59,20 @@ class Play(NamedTuple):
     memory: Mapping[str, Tensor]
     """Values that the task stores between steps, [W, ...] each, and ``success`` of the last step."""
     collides: Tensor
-    """True if both agents touch, bool [W]."""
+    """True if the robot touches a person, bool [W]."""
     before_xz: Tensor
     """Position of the robot before the last step, [W, 2] [m]; ``before_heading`` [W] [rad]."""
     before_heading: Tensor
     human_before_xz: Tensor
-    """Position of the person before the last step, [W, 2] [m]."""
+    """Position of the person before the last step, [W, 2] [m], or of the people of a crowd."""
     reward: Tensor
     """Reward of the last step, [W]."""
     terminated: Tensor
     """True if the rules ended the episode in the last step, bool [W]."""
     truncated: Tensor
     """True if the episode reached its time limit, bool [W]."""
+    crowd: tuple[Tensor, ...] = ()
+    """Further state of the people of a crowd (`h3data_training.torch.crowd.people.CrowdTensors`)."""
 
     @classmethod
     def before_the_first(cls, episode: Tensor, dtype: torch.dtype, memory: Mapping[str, Tensor]) -> Play:
@@ -105,10 +110,15 @@ class Play(NamedTuple):
 class Agents(NamedTuple):
     """Agents of all worlds at one step, without objects."""
 
-    agents: tuple[Any, Any]
-    """State of robots and people; each has ``xz`` and ``heading``."""
+    agents: tuple[Any, ...]
+    """State of the robot, then of people; each has ``xz`` and ``heading``."""
     held_by: Tensor | None = None
     """Holders of objects: an empty array [W, 0]."""
+
+    @property
+    def people(self) -> tuple[Any, ...]:
+        """State of each person."""
+        return self.agents[1:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,14 +144,21 @@ class TensorWorld(NamedTuple):
     before: Agents
     """World one step ago; headings of people are not known."""
     start: Agents
+    roster: Sequence[AgentSpec]
+    """Agents of every world, the robot first."""
     touching: Tensor
-    """True if robot and person touch, bool [W, 1]."""
+    """True for `pairs` that touch, bool [W, P]."""
     floor_y: Tensor
     """Height of the floor in each world [m], [W]."""
     grids: Grids
     """Grids of the worlds' floors."""
     outlines: Outlines
     """Outlines of the agents on the floor."""
+
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of agents whose contact is known: the robot and each of P people."""
+        return tuple((ROBOT, person) for person in range(1, len(self.roster)))
 
     def heights(self, xz: Tensor) -> Tensor:
         """Return heights of the floor at positions, [W] [m], which are constant because floors are level."""
@@ -159,16 +176,21 @@ class TensorWorld(NamedTuple):
         return free_along(self.grids, xz, headings, max_m)
 
     def circles(self, agent: int, *, legs: bool = False) -> Tensor:
-        """Return the other agent as circles ``(x, z, radius)`` [W, N, 3] [m] (`sim_kinematic.world.World.circles`)."""
-        robot, human = self.state.agents
-        if agent != ROBOT:
-            ahead = heading_direction(robot.heading)[:, None] * self.outlines.offsets[:, None]
-            xz, radius_m = robot.xz[:, None] + ahead, self.outlines.robot_m
-        elif legs:
-            return legs_at(torch, human.xz, human.heading, self.outlines.cycle.look_up(self.outlines.legs, human))
-        else:
-            xz, radius_m = human.xz[:, None], self.outlines.human_m
-        return torch.cat([xz, torch.full_like(xz[..., :1], radius_m)], -1)
+        """Return the other agents as circles ``(x, z, radius)`` [W, N, 3] [m] (`sim_kinematic.world.World.circles`)."""
+        circles = []
+        for number, own in enumerate(self.state.agents):
+            if number == agent:
+                continue
+            if number != ROBOT and legs:
+                shins = self.outlines.cycle.look_up(self.outlines.legs, own)
+                circles.append(legs_at(torch, own.xz, own.heading, shins))
+                continue
+            xz, radius_m = own.xz[:, None], self.outlines.human_m
+            if number == ROBOT:
+                ahead = heading_direction(own.heading)[:, None] * self.outlines.offsets[:, None]
+                xz, radius_m = xz + ahead, self.outlines.robot_m
+            circles.append(torch.cat([xz, torch.full_like(xz[..., :1], radius_m)], -1))
+        return torch.cat(circles, 1) if circles else self.floor_y.new_zeros((self.worlds, 0, 3))
 
     def in_root_frame(self, own: Any, points: Tensor) -> Tensor:
         """Transform world points [W, n, 3] [m] into the agent root frames of given agents."""
@@ -222,6 +244,7 @@ class TaskTensors:
         self.device = torch.device(device)
         self.dtype = dtype or (torch.float64 if self.device.type == "cpu" else torch.float32)
         self.task, self.spec, self.bank = task, spec, bank
+        self.roster = make_roster(PAIR, robot=robot, human=human)
         refuse_others(task.name, spec)
         self._end_on_success = end_on_success
         self._grids = Grids.of(bank.floors, self.device, self.dtype)
@@ -249,14 +272,20 @@ class TaskTensors:
         self.arm = on_device(resting_arm(body)[None])
         """Resting positions of the robot's arm joints, [1, n]."""
         self._place = torch.as_tensor(bank.place, device=self.device)
-        self._starts = on_device(bank.robot_xz, bank.robot_heading, bank.human_xz, bank.human_heading)
-        self._way_points = on_device(bank.way_points.reshape(-1, 2))
-        self._headings = None if bank.headings is None else on_device(bank.headings.reshape(-1, 1))[:, 0]
+        self._starts = torch.as_tensor(bank.starts, dtype=self.dtype, device=self.device)
+        self._take_people(bank)
         self._floor_y = on_device([[floor.floor_y] for floor in bank.floors])[:, 0]
         self._extra = {
             name: torch.as_tensor(rows, device=self.device, dtype=self.dtype if rows.dtype.kind == "f" else None)
             for name, rows in bank.extra.items()
         }
+
+    def _take_people(self, bank: Any) -> None:
+        """Copy to the device how people walk in the episodes of the bank."""
+        self._way_points = torch.as_tensor(bank.way_points.reshape(-1, 2), dtype=self.dtype, device=self.device)
+        self._headings = None
+        if bank.headings is not None:
+            self._headings = torch.as_tensor(bank.headings.reshape(-1), dtype=self.dtype, device=self.device)
 
     @property
     def action_width(self) -> int:
@@ -272,14 +301,23 @@ class TaskTensors:
         start, place = self._starts[play.episode], self.place_of(play)
         return TensorWorld(
             worlds=len(play.steps),
-            state=Agents((play.robot, play.human), play.steps.new_empty((len(play.steps), 0))),
-            before=Agents((Pose(play.before_xz, play.before_heading), Pose(play.human_before_xz, None))),
-            start=Agents((Pose(start[:, :2], start[:, 2]), Pose(start[:, 3:5], start[:, 5]))),
-            touching=play.collides[:, None],
+            state=Agents((play.robot, *self._each(play.human)), play.steps.new_empty((len(play.steps), 0))),
+            before=Agents((Pose(play.before_xz, play.before_heading), *self._each(Pose(play.human_before_xz, None)))),
+            start=Agents(tuple(Pose(place[:, :2], place[:, 2]) for place in start.unbind(1))),
+            roster=self.roster,
+            touching=self._touching(play),
             floor_y=self._floor_y[place],
             grids=self._grids.at(place),
             outlines=self._outlines,
         )
+
+    def _each(self, people: Any) -> tuple[Any, ...]:
+        """Return the state or pose of each person of all worlds."""
+        return (people,)
+
+    def _touching(self, play: Play) -> Tensor:
+        """Return whether the robot touches each person, bool [W, P]."""
+        return play.collides[:, None]
 
     def path_between(self, play: Play, start: Tensor, end: Tensor) -> ShortestPath:
         """Return the shortest paths between points [W, 2]."""
@@ -308,45 +346,32 @@ class TaskTensors:
     # --- a step -------------------------------------------------------------------------------------------------------
     def before_the_first(self, episode: Tensor) -> Play:
         """Return worlds whose first step begins the episodes after ``episode`` [W]."""
-        play = Play.before_the_first(episode.to(self.device), self.dtype, {})
+        play = self._blank(episode.to(self.device))
         return play._replace(memory={name: torch.zeros_like(t) for name, t in self._begun(play).items()})
+
+    def _blank(self, episode: Tensor) -> Play:
+        """Return worlds whose first step begins the episodes after ``episode`` [W], without the task's memory."""
+        return Play.before_the_first(episode, self.dtype, {})
 
     def step(self, play: Play, action: Tensor) -> Play:
         """Return all worlds after ``action`` [W, 2 or 3]; worlds that had ended are at the start of their next episode."""
-        spec, fresh, legs = self.spec, play.ended, self.bank.way_points.shape[1]
+        spec, fresh = self.spec, play.ended
         episode = torch.where(fresh, (play.episode + 1) % len(self.bank), play.episode)
-        row = episode * legs
-        if self._headings is not None:  # each step has a place of its own
-            leg, now = play.leg, row + torch.where(fresh, 0, play.steps).clamp_max(legs - 1)
-            human = move_humans(play.human, self._way_points[now], self._headings[now], spec.human)
-        else:
-            gap = self._way_points[row + play.leg] - play.human.xz
-            arrived = torch.hypot(gap[:, 0], gap[:, 1]) <= spec.human.arrive_m
-            leg = torch.where(fresh, 0, (play.leg + arrived).clamp_max(legs - 1))
-            human = walk_humans(play.human, self._way_points[row + leg], spec.human)
         robot = drive_robots(self._grids.at(self._place[episode]), play.robot, action, self.base)
-        start = self._starts[episode]
-        zero, begins = start.new_zeros(()), fresh[:, None]
+        start, begins = self._starts[episode], fresh[:, None]
         robot = RobotTensors(
-            torch.where(begins, start[:, :2], robot.xz),
-            torch.where(fresh, start[:, 2], robot.heading),
+            torch.where(begins, start[:, 0, :2], robot.xz),
+            torch.where(fresh, start[:, 0, 2], robot.heading),
             robot.contact & ~fresh,
         )
-        human = HumanTensors(
-            torch.where(begins, start[:, 3:5], human.xz),
-            torch.where(fresh, start[:, 5], human.heading),
-            *(torch.where(fresh, zero, t) for t in human[2:]),
-        )
-        moved = play._replace(
+        moved = self._with_people(play, episode, robot)
+        moved = moved._replace(
             robot=robot,
-            human=human,
             episode=episode,
-            leg=leg,
             steps=torch.where(fresh, 0, play.steps + 1),
-            collides=self.touch.touching(robot, human),
             before_xz=torch.where(begins, robot.xz, play.robot.xz),
             before_heading=torch.where(fresh, robot.heading, play.robot.heading),
-            human_before_xz=torch.where(begins, human.xz, play.human.xz),
+            human_before_xz=torch.where(begins, moved.human.xz, play.human.xz),
         )
         outcome, memory = self._judged(moved, fresh)
         going = ~fresh
@@ -359,6 +384,24 @@ class TaskTensors:
             terminated=terminated,
             truncated=truncated,
         )
+
+    def _with_people(self, play: Play, episode: Tensor, robot: RobotTensors) -> Play:
+        """Return the state with people after the step, and their contacts with the ``robot`` there.
+
+        Where an episode begins, which is the one with the number ``episode`` [W], people are at their starts.
+        """
+        spec, fresh, legs = self.spec, play.ended, self.bank.way_points.shape[1]
+        row = episode * legs
+        if self._headings is not None:  # each step has a place of its own
+            leg, now = play.leg, row + torch.where(fresh, 0, play.steps).clamp_max(legs - 1)
+            human = move_humans(play.human, self._way_points[now], self._headings[now], spec.human)
+        else:
+            gap = self._way_points[row + play.leg] - play.human.xz
+            arrived = torch.hypot(gap[:, 0], gap[:, 1]) <= spec.human.arrive_m
+            leg = torch.where(fresh, 0, (play.leg + arrived).clamp_max(legs - 1))
+            human = walk_humans(play.human, self._way_points[row + leg], spec.human)
+        human = human.begun(self._starts[episode][:, 1], fresh)
+        return play._replace(human=human, leg=leg, collides=self.touch.touching(robot, human))
 
     def _begun(self, play: Play) -> dict[str, Tensor]:
         """Return the memory that the task would have if all worlds began in their present state."""
@@ -391,8 +434,9 @@ class TaskTensors:
             way = self.path_to_person(play)
             return way.length, play.robot.xz + way.towards
 
-        (now, other), (before, other_before), (start, _) = (
-            at.agents for at in (world.state, world.before, world.start)
+        # a robot alone has no sensors of others
+        (now, other, *_), (before, other_before, *_), (start, *_) = (
+            (*at.agents, None) for at in (world.state, world.before, world.start)
         )
         arm: Any = self.arm.expand(world.worlds, -1)
         touched: Any = (play.robot.contact, play.collides)
@@ -415,7 +459,7 @@ class TaskTensors:
         """
         sim, who = on_meta(copy.copy(self)), self.task.name
         sim.device = torch.device("meta")
-        blank = Play.before_the_first(torch.zeros(worlds, dtype=torch.int64, device="meta"), self.dtype, {})
+        blank = sim._blank(torch.zeros(worlds, dtype=torch.int64, device="meta"))
         with in_words(f"{who}: the function begin"):
             rollout = TensorRollout(sim, blank, None)
             begun = self.task.begin(rollout, torch.arange(worlds, device="meta"))  # type: ignore[arg-type]
