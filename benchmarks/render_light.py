@@ -19,12 +19,13 @@ from h3data.bodies import load_humanoid, load_robot
 from h3data.geometry import ground_pose
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene
 from h3data.render.light.sources import sources_of
-from h3data.render.sheets.scene_map import eye_level_camera, render_scene
+from h3data.render.sheets.scene_map import render_scene
 from h3data.replay.shadow_casters import shadow_casters
 from h3data.scene import FreeSpace, Scene
 from h3data_gpu import gpu_problem
 from h3data_homes import HomeSpec, build_home
 from h3data_light.bake import LitScene, lit_scene
+from h3data_pipelines.assets.eye_level import eye_level_camera
 
 Emit = Callable[[str, float, str], None]
 ROOMS = ("living", "kitchen", "bedroom")

@@ -11,9 +11,10 @@ import numpy as np
 from h3data.render import Renderer, RenderScene
 from h3data.render.image_files import write_jpg
 from h3data.render.light.sources import sources_of
-from h3data.render.sheets.scene_map import eye_level_camera, render_scene
+from h3data.render.sheets.scene_map import render_scene
 from h3data.scenes import FreeSpace, HomeSpec, build_home
 from h3data_light.bake import lit_scene
+from h3data_pipelines.assets.eye_level import eye_level_camera
 
 ROOMS = {
     ("small", 15): ("living", "kitchen"),

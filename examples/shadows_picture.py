@@ -13,10 +13,11 @@ from h3data.geometry import ground_pose
 from h3data.render import Renderer, RenderInstance, RenderScene
 from h3data.render.image_files import write_jpg
 from h3data.render.light.sources import sources_of
-from h3data.render.sheets.scene_map import eye_level_camera, render_scene
+from h3data.render.sheets.scene_map import render_scene
 from h3data.replay.shadow_casters import shadow_casters
 from h3data.scenes import FreeSpace, HomeSpec, build_home
 from h3data_light.bake import lit_scene
+from h3data_pipelines.assets.eye_level import eye_level_camera
 
 ROOMS = (("small", 7, "living"), ("medium", 7, "living"), ("small", 15, "kitchen"), ("large", 7, "library"))
 person, robot = load_humanoid("female_0"), load_robot("quad_arm")

@@ -268,14 +268,6 @@ def read_overrides(texts: Iterable[str], **named: Any) -> tuple[tuple[str, Any],
     return tuple(overrides)
 
 
-def check_backend(backend: BackendOption) -> None:
-    """Raise an `InputError` if the back end is ``gpu`` and there is no GPU."""
-    if backend != "cpu":
-        from h3data.replay.stage import chosen_backend
-
-        chosen_backend(backend)
-
-
 def write_text(path: Path, text: str) -> None:
     """Write a small file atomically, so that it appears only when it is complete."""
     with part_file(path) as part:

@@ -52,25 +52,9 @@ def draw_circle(
     """Draw a dot (``thickness`` -1) or circle at a world point [3] [m], unless it is behind the camera."""
     import cv2
 
-    at = _pixel(image, camera, point)
+    at = pixel_of(image, camera, point)
     if at is not None:
         cv2.circle(image, at, radius_px, color, thickness, cv2.LINE_AA)
-
-
-def draw_label(
-    image: NDArray[np.uint8], camera: Camera, point: ArrayLike, text: str, color: Color, *, scale: float = 0.45
-) -> None:
-    """Write ``text`` centred above a world point [3] [m], with a dark outline, unless it is behind the camera."""
-    import cv2
-
-    at = _pixel(image, camera, point)
-    if at is None:
-        return
-    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
-    origin = (at[0] - width // 2, at[1] - 6)
-    # the same text twice, first thicker and dark: it can be read on any background
-    for rim, paint in ((3, (20, 20, 20)), (1, color)):
-        cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, paint, rim, cv2.LINE_AA)
 
 
 def _clip_to_front(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -102,7 +86,8 @@ def _clip_to_square(pixels: NDArray[np.float64]) -> NDArray[np.float64] | None:
     return np.stack([start + low * step, start + high * step]) if low < high else None
 
 
-def _pixel(image: NDArray[np.uint8], camera: Camera, point: ArrayLike) -> tuple[int, int] | None:
+def pixel_of(image: NDArray[np.uint8], camera: Camera, point: ArrayLike) -> tuple[int, int] | None:
+    """Return the pixel (column, row) of a world point [3] [m]; None if it is behind the camera or far outside of the image."""
     _check(image, camera)
     pixels, z = camera.project(np.asarray(point, np.float64).reshape(1, 3))
     # written so that NaN counts as behind the camera

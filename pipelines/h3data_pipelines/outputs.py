@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 
 if TYPE_CHECKING:
+    from h3data.commands.command import BackendOption
     from h3data.render import Camera, Output, VideoWriter
 
 Form = Literal["h264", "av1", "ffv1", "png"]
@@ -150,3 +151,11 @@ def _open_folder(target: Path, picture: ToPicture, *, ids: bool) -> Iterator[Sin
     if target.exists():
         shutil.rmtree(target)
     part.rename(target)
+
+
+def check_backend(backend: BackendOption) -> None:
+    """Raise an `InputError` if the back end is ``gpu`` and there is no GPU."""
+    if backend != "cpu":
+        from h3data.replay.stage import chosen_backend
+
+        chosen_backend(backend)

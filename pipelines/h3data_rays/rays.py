@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.geometry import normalized
+from h3data.kernels import kernel
 from h3data.render.outputs import Poses
 from h3data.render.scene import RenderScene
-from h3data.render.shade.cutouts import solid_points
+from h3data.render.shade.cutouts import is_solid
 from h3data.render.shade.shading import Light
 
 _FAR_M = 1e30
@@ -336,3 +337,12 @@ def _embree() -> Any:
             code="H3-RENDER-053",
         ) from error
     return embreex
+
+
+@kernel()
+def solid_points(maps, opacity, textures, uv):
+    """Return whether textures [N] are at least half opaque (`is_solid`) at points ``uv`` [N, 2], shape [N]."""
+    out = np.ones(len(textures), np.bool_)
+    for k in range(len(textures)):
+        out[k] = is_solid(maps, opacity, textures[k], uv[k, 0], uv[k, 1])
+    return out

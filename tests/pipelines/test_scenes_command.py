@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from h3data.geometry import IDENTITY_POSE, quat_from_axis_angle
-from h3data.render.sheets.scene_map import eye_level_camera, plan_picture
+from h3data.render.sheets.scene_map import plan_picture
 from h3data.scene import (
     Asset,
     Box,
@@ -33,6 +33,7 @@ from h3data.scene import (
 from h3data.scene.open import named_scenes
 from h3data_habitat.exporters.scenes import export_habitat
 from h3data_homes import HomeSpec, build_home
+from h3data_pipelines.assets.eye_level import eye_level_camera
 from h3data_pipelines.assets.scene_plan import (
     ISLAND_COLOR,
     MAIN_COLOR,

@@ -23,6 +23,7 @@ from h3data.render import (
     overlay,
     pinhole,
 )
+from h3data_pipelines.pictures.rendering import draw_label
 
 RED = (255, 0, 0)
 
@@ -191,15 +192,15 @@ def test_labels_and_dots_sit_at_their_point():
     image = np.zeros((120, 160, 3), np.uint8)
     overlay.draw_circle(image, camera, [0, 0, 2], (0, 255, 0), radius_px=3)
     assert image[60, 80, 1] == 255
-    overlay.draw_label(image, camera, [0, 0, 2], "robot", RED)
+    draw_label(image, camera, [0, 0, 2], "robot", RED)
     rows = np.flatnonzero((image[..., 0] > 150).any(1))
     assert 40 < rows.min() < rows.max() < 60
     before = image.copy()
-    overlay.draw_label(image, camera, [0, 0, -2], "behind", RED)
+    draw_label(image, camera, [0, 0, -2], "behind", RED)
     overlay.draw_circle(image, camera, [1e9, 0, 1e-3], RED)
     np.testing.assert_array_equal(image, before)
     with pytest.raises(InputError, match=r"(?s)\[120, 160, 3\].*H3-RENDER-049"):
-        overlay.draw_label(image[:50], camera, [0, 0, 2], "x", RED)
+        draw_label(image[:50], camera, [0, 0, 2], "x", RED)
 
 
 def test_importing_cameras_is_light():

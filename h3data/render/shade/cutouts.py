@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.kernels import kernel, kernel_part
+from h3data.kernels import kernel_part
 from h3data.mesh.mesh import Texture
 from h3data.render.shade.surface import Surface
 
@@ -137,12 +137,3 @@ def is_solid(maps, opacity, texture, s, t):
     at += width + 1
     lower_value = opacity[at] + (float(opacity[at + 1]) - opacity[at]) * right
     return upper_value + (lower_value - upper_value) * lower >= SOLID
-
-
-@kernel()
-def solid_points(maps, opacity, textures, uv):
-    """Return whether textures [N] are at least half opaque (`is_solid`) at points ``uv`` [N, 2], shape [N]."""
-    out = np.ones(len(textures), np.bool_)
-    for k in range(len(textures)):
-        out[k] = is_solid(maps, opacity, textures[k], uv[k, 0], uv[k, 1])
-    return out

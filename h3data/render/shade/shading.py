@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import normalized
 from h3data.kernels import kernel, kernel_part
-from h3data.render.ffv1 import copy
 from h3data.render.raster.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
-from h3data.render.raster.raster_simd import count_trailing_zeros
 from h3data.render.shade.blockers import (
     NO_BLOCKERS,
     TILE_X,
@@ -46,7 +44,6 @@ from h3data.render.shade.shading_simd import (
     RAY,
     TONE_LIMIT,
     TONE_SIZE,
-    alike_words,
     equal_words,
     even_nearness,
     gloss_block,
@@ -254,7 +251,6 @@ def _shade_image(
     # samples at edges, of one tile of capsules, until there are eight: levels and normals; 1/z and owner; pixel and weight
     waiting, behind, places = np.zeros((6, 8), np.int32), np.zeros((2, 8), np.float32), np.zeros((2, 8), np.int32)
     row_at, inv_z_at = np.uintp(row.ctypes.data), np.uintp(target.inv_z.ctypes.data)
-    words_at = np.uintp(target.words.ctypes.data)
     inv_z_bytes = np.uintp(target.inv_z.shape[1] * 4)
     near_at, owners_at = np.uintp(near.ctypes.data), np.uintp(owners.ctypes.data)
     strip_at, strip_bytes = np.uintp(strip.ctypes.data), np.uintp(strip.shape[1] * 4)
@@ -276,8 +272,8 @@ def _shade_image(
         if fine:
             _fine_row_words(geometry, surface, target, patches, y, row, first, last)
         else:
-            at = np.uintp(y * words.shape[1] + first) * np.uintp(4)
-            copy(words_at + at, row_at + np.uintp(4 * first), np.uintp(4 * (last - first)))
+            for x in range(first, last):  # by element: to copy slices, numba compiles an error text for 2 s
+                row[x] = words[y, x]
         row[last] = _PADDING
         tile_row = y // TILE_Y * tiles_across
         blocked = len(cast.first) > 0 and cast.first[tile_row] < cast.first[tile_row + tiles_across]
@@ -438,46 +434,40 @@ def _fine_row_words(geometry, surface, target, patches, y, row, first, last):
 
     A word is that of one of the four samples if they show one surface, else `_MIXED`.
     """
-    # single arrays, because numba counts references to each array of a tuple at each call
-    words, inv_z, draws, packets = target.words, target.inv_z, target.draws, geometry.cluster_packets
-    words_at, row_bytes = np.uintp(words.ctypes.data), np.uintp(words.shape[1] * 4)
-    words_at, row_at = words_at + np.uintp(2 * y) * row_bytes, np.uintp(row.ctypes.data)
-    for start in range(first, last, 8):
-        # the last eight begin earlier, as there is nothing to read beyond the last row
-        x = max(min(start, last - 8), 0)
-        unlike = alike_words(words_at + np.uintp(x * 8), row_bytes, row_at + np.uintp(x * 4))
-        while unlike:
-            k = x + count_trailing_zeros(unlike)
-            unlike &= unlike - 1
-            word = row[k]
-            row[k] = _MIXED
-            right, lower, both = words[2 * y, 2 * k + 1], words[2 * y + 1, 2 * k], words[2 * y + 1, 2 * k + 1]
-            # the background has no triangle whose patch could be compared
-            if word < 0 or right < 0 or lower < 0 or both < 0:
-                continue
-            near, other, third, fourth = (
-                inv_z[2 * y, 2 * k],
-                inv_z[2 * y, 2 * k + 1],
-                inv_z[2 * y + 1, 2 * k],
-                inv_z[2 * y + 1, 2 * k + 1],
+    words, inv_z = target.words, target.inv_z
+    for x in range(first, last):
+        word = words[2 * y, 2 * x]
+        row[x] = word
+        right, lower, both = words[2 * y, 2 * x + 1], words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]
+        if word == right and word == lower and word == both:
+            continue
+        row[x] = _MIXED
+        # the background has no triangle whose patch could be compared
+        if word < 0 or right < 0 or lower < 0 or both < 0:
+            continue
+        near, other, third, fourth = (
+            inv_z[2 * y, 2 * x],
+            inv_z[2 * y, 2 * x + 1],
+            inv_z[2 * y + 1, 2 * x],
+            inv_z[2 * y + 1, 2 * x + 1],
+        )
+        nearest, farthest = max(max(near, other), max(third, fourth)), min(min(near, other), min(third, fourth))
+        if nearest - farthest > _SMOOTH_DEPTH * nearest:
+            continue
+        instance, patch = target.draws[word >> 7, INSTANCE], _patch_of(geometry, surface, target, patches, word)
+        smooth = True
+        for more in (right, lower, both):
+            smooth &= (target.draws[more >> 7, INSTANCE] == instance) & (
+                _patch_of(geometry, surface, target, patches, more) == patch
             )
-            nearest, farthest = max(max(near, other), max(third, fourth)), min(min(near, other), min(third, fourth))
-            if nearest - farthest > _SMOOTH_DEPTH * nearest:
-                continue
-            instance, patch = draws[word >> 7, INSTANCE], _patch_of(packets, surface.packet_faces, draws, patches, word)
-            smooth = True
-            for more in (right, lower, both):
-                smooth &= (draws[more >> 7, INSTANCE] == instance) & (
-                    _patch_of(packets, surface.packet_faces, draws, patches, more) == patch
-                )
-            if smooth:
-                row[k] = word
+        if smooth:
+            row[x] = word
 
 
 @kernel_part(forceinline=True)
-def _patch_of(packets, faces, draws, patches, word):
-    packet = packets[draws[word >> 7, CLUSTER], 0] + ((word & 127) >> 3)
-    return patches[faces[packet, word & 7]]
+def _patch_of(geometry, surface, target, patches, word):
+    packet = geometry.cluster_packets[target.draws[word >> 7, CLUSTER], 0] + ((word & 127) >> 3)
+    return patches[surface.packet_faces[packet, word & 7]]
 
 
 @kernel_part()

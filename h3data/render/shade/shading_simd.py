@@ -14,7 +14,6 @@ from h3data.kernels.vectors import (
     INT64,
     LANES,
     Vec,
-    fetch,
     fma,
     intrinsic,
     lanes,
@@ -274,31 +273,6 @@ def equal_words(typing_context, address, word):
         return b.cttz(b.or_(bits, ir.Constant(INT, 1 << LANES)), ir.Constant(ir.IntType(1), 1))
 
     return types.int32(types.uintp, types.int32), codegen
-
-
-@intrinsic
-def alike_words(typing_context, words_at, row_bytes, out_at):
-    """Store the words of the upper left samples of 8 pixels of four samples; return a bit for each pixel with other words."""
-
-    def codegen(context, b, signature, arguments):
-        words_at, row_bytes, out_at = arguments
-        upper_left, differ = None, None
-        for at in (words_at, b.add(words_at, row_bytes)):
-            # two rows further, where the next pixels are: the samples of an image do not fit the caches
-            fetch(b, b.add(at, b.shl(row_bytes, INT64(1))))
-            halves = load(b, at, 0, INT8), load(b, at, 4 * LANES, INT8)
-            for odd in range(2):
-                words = pick(b, *halves, range(odd, 2 * LANES, 2))
-                if upper_left is None:
-                    upper_left = words
-                    store(b, words, out_at)
-                    continue
-                other = b.icmp_signed("!=", upper_left, words)
-                differ = other if differ is None else b.or_(differ, other)
-        return b.zext(b.bitcast(differ, ir.IntType(LANES)), INT)
-
-    p = types.uintp
-    return types.int32(p, p, p), codegen
 
 
 @intrinsic

@@ -19,7 +19,7 @@ from h3data.render import Renderer, RenderInstance, RenderScene
 from h3data.render.camera import look_at, pinhole
 from h3data.render.image_files import write_jpg
 from h3data.render.light.sources import sources_of
-from h3data.render.sheets.scene_map import eye_level_camera, plan_picture, render_scene
+from h3data.render.sheets.scene_map import plan_picture, render_scene
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.kinds import KINDS, Kind
 from h3data_homes import HomeSpec, build_home
@@ -28,6 +28,7 @@ from h3data_homes.layout import plan_layout
 from h3data_homes.lived_in.looks import sample_look
 from h3data_homes.spec import Look
 from h3data_light.bake import lit_scene
+from h3data_pipelines.assets.eye_level import eye_level_camera
 
 Picture = NDArray[np.uint8]
 PAPER, INK = (250, 250, 248), (30, 30, 36)

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
 from h3data.commands.command import AssetsOption, ForceFlag, Group, JsonFlag, MissingFlag, Outcome, claim_file
 from h3data.errors import InputError, SceneError
@@ -156,6 +155,8 @@ class ScenesShow:
         if free is None:
             image, _ = plan_picture(scene, pixels_per_m=self.pixels_per_m)
         elif self.view == "eye":
+            from h3data_pipelines.assets.eye_level import eye_level_picture
+
             image = eye_level_picture(scene, free, room=self.room or None)
         else:
             image = scene_map(scene, free, pixels_per_m=self.pixels_per_m)
@@ -516,12 +517,3 @@ def _png(path: Path, *, force: bool) -> Path:
     if path.suffix.lower() != ".png":
         raise InputError(f"Expected a file name that ends in .png, got: {path}", code="H3-BODY-146")
     return claim_file(path, force=force)
-
-
-def eye_level_picture(scene: Scene, free: FreeSpace, *, room: str | None = None) -> NDArray[np.uint8]:
-    """Render the view of a person who stands in a room, as RGB [H, W, 3]."""
-    from h3data.render.renderer import Renderer
-    from h3data.render.sheets.scene_map import eye_level_camera, render_scene
-
-    camera = eye_level_camera(scene, free, room=room)
-    return Renderer(render_scene(scene)).render(camera, outputs=("rgb",), samples=4)["rgb"]

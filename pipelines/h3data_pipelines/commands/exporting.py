@@ -19,7 +19,6 @@ from h3data.commands.command import (
     Outcome,
     PeopleOption,
     StandInsFlag,
-    check_backend,
     claim_file,
     claim_folder,
     open_episode,
@@ -36,6 +35,7 @@ from h3data_pipelines.dataset_folders import remove_dataset
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.format_names import export_format
 from h3data_pipelines.hub.provenance import read_commands, write_commands
+from h3data_pipelines.outputs import check_backend
 
 if TYPE_CHECKING:
     from typing import Literal

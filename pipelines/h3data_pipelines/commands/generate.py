@@ -28,7 +28,6 @@ from h3data.commands.command import (
     RuleSet,
     RuleSetOption,
     ShareScenesFlag,
-    check_backend,
     claim_folder,
     keeping,
     read_overrides,
@@ -62,6 +61,7 @@ from h3data_pipelines.jobs.episodes import (
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed, stopped_job
 from h3data_pipelines.jobs.generated import Generated, WrittenDataset, first_played, require_same_options, whose
 from h3data_pipelines.jobs.running import RenderedVideo, VideoJob, film_jobs
+from h3data_pipelines.outputs import check_backend
 from h3data_pipelines.task_options import WITH_SKILLS, policies_of, task_names, task_notes
 
 if TYPE_CHECKING:

@@ -15,7 +15,10 @@ from h3data.replay import CameraTrack, Replay
 from h3data_pipelines.outputs import Target, ToPicture
 
 if TYPE_CHECKING:
-    from h3data.render import Output
+    from numpy.typing import ArrayLike
+
+    from h3data.render import Camera, Output
+    from h3data.render.overlay import Color
     from h3data.replay.stage import FrameBackend
 
 ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
@@ -163,7 +166,7 @@ def depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
 
 def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTrack, step: int) -> None:
     """Draw each agent's trajectory up to ``step`` and its name on ``image`` [H, W, 3], in place."""
-    from h3data.render.overlay import draw_label, draw_polyline
+    from h3data.render.overlay import draw_polyline
 
     camera = track.at(step)
     for index, agent in enumerate(replay.recording.agents):
@@ -176,3 +179,21 @@ def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTra
         draw_polyline(image, camera, np.concatenate([line, base[-1:]]), color=color, thickness=2)
         above = base[-1] - camera.pose[:3, 1] * 0.55  # the camera's y axis points down in the image
         draw_label(image, camera, above, agent.name, color=color, scale=0.6)
+
+
+def draw_label(
+    image: NDArray[np.uint8], camera: Camera, point: ArrayLike, text: str, color: Color, *, scale: float = 0.45
+) -> None:
+    """Write ``text`` centred above a world point [3] [m], with a dark outline, unless it is behind the camera."""
+    import cv2
+
+    from h3data.render.overlay import pixel_of
+
+    at = pixel_of(image, camera, point)
+    if at is None:
+        return
+    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    origin = (at[0] - width // 2, at[1] - 6)
+    # the same text twice, first thicker and dark: it can be read on any background
+    for rim, paint in ((3, (20, 20, 20)), (1, color)):
+        cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, paint, rim, cv2.LINE_AA)

@@ -25,7 +25,6 @@ from h3data.commands.command import (
     Outcome,
     PeopleOption,
     StandInsFlag,
-    check_backend,
     keeping,
     missing_lines,
     open_episode,
@@ -43,7 +42,7 @@ from h3data.replay.cameras import parse_size
 from h3data.terminal import counted
 from h3data_pipelines.execution.processes import core_count
 from h3data_pipelines.jobs.camera_log import CameraLog
-from h3data_pipelines.outputs import Format, OutputName, Target
+from h3data_pipelines.outputs import Format, OutputName, Target, check_backend
 from h3data_pipelines.pictures.rendering import frames_per_second, render_files
 
 if TYPE_CHECKING:

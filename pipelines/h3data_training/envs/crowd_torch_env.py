@@ -11,7 +11,7 @@ from h3data_training.torch.crowd.bank import CrowdBank
 from h3data_training.torch.crowd.worlds import CrowdWorlds
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.crowd.crowd import CrowdModel
-from sim_kinematic.sensing.table import STATE_OBSERVATIONS, Sensor
+from sim_kinematic.sensing.table import STATE_OBSERVATIONS, Sensor, sensors_of
 from sim_kinematic.tasks.sources import Scenes, in_words
 from sim_kinematic.tasks.task import Task
 
@@ -73,7 +73,11 @@ class CrowdTorchEnv(TaskTorchEnv):
 
     def _sensors(self, task: Task) -> Mapping[str, Sensor]:  # type: ignore[override]
         alone = len(self._agents) == 1
-        return {name: sensor for name, sensor in task.sensors("robot").items() if not (alone and sensor.of_other)}
+        return {
+            name: sensor
+            for name, sensor in sensors_of("robot", task.sensors).items()
+            if not (alone and sensor.of_other)
+        }
 
     def _drawn(self, scenes: Scenes, episodes: Any, **options: Any) -> Any:
         if isinstance(episodes, CrowdBank):

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from h3data.mesh.mesh import Mesh, Texture
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
-from h3data.render.shade.cutouts import cut_out_faces, pack_opacity, solid_points
+from h3data.render.shade.cutouts import cut_out_faces, pack_opacity
 from h3data_rays import RayCaster
+from h3data_rays.rays import solid_points
 from tests.examples import examples
 from tests.render.raster.test_raster import random_view, soup
 
