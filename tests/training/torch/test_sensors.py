@@ -35,7 +35,7 @@ from sim_kinematic.tasks.play import DecisionLoop  # noqa: E402
 from sim_kinematic.tasks.registry import task_registry  # noqa: E402
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS, RewardProfile  # noqa: E402
 from sim_kinematic.tasks.social_nav import SocialNav  # noqa: E402
-from tests.training.torch import test_fetch, test_rearrange, test_skills, test_social_nav, test_task_worlds  # noqa: E402
+from tests.training.torch import test_crowds, test_fetch, test_rearrange, test_skills, test_social_nav, test_task_worlds  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 WORLDS, OBJECTS, JOINTS, CHOICES, PARTS = 5, 2, 7, 13, 2
@@ -177,6 +177,23 @@ def _navigation(task: Any, rules: Any, backend: str, *, steps: int) -> Pairs:
     return found
 
 
+def _crowd() -> Pairs:
+    """A robot among people, whose paths are those of the bank."""
+    found: Pairs = {name: [] for name in (*SHOWN["crowd_nav"], *JUDGED)}
+    with pytest.MonkeyPatch.context() as patch:
+        both = test_crowds.Pair("orca", patch)
+        for action in test_crowds.drives(40):
+            seen, shown = both.stepper.observe("robot"), both.sim.observations(SHOWN["crowd_nav"], both.play)
+            for name in SHOWN["crowd_nav"]:
+                found[name].append((seen[name], shown[name].numpy()))
+            reward, terminated, _ = both.step(action)
+            mine = reward, terminated, both.stepper.info("robot")["success"]
+            theirs = both.play.reward, both.play.terminated, both.sim.succeeded(both.play)
+            for name, own, other in zip(JUDGED, mine, theirs, strict=True):
+                found[name].append((own, other.numpy()))
+    return found
+
+
 def _judged(found: Pairs, pair: Any, n: int, play: Any) -> None:
     """Add how the CPU and the device have judged the last step of world ``n``."""
     for name in JUDGED:
@@ -271,6 +288,7 @@ RUNS: dict[tuple[str, str], Callable[[str], Pairs]] = {
     ("social_nav", "paper"): lambda backend: _navigation(SocialNav(), test_social_nav.RULES, backend, steps=50),
     ("point_goal", ""): lambda backend: _navigation(PointGoal(), test_task_worlds.RULES, backend, steps=60),
     **{("rearrange", profile): lambda _, profile=profile: _rearrange(profile) for profile in REARRANGE_REWARDS},
+    ("crowd_nav", ""): lambda _: _crowd(),
     ("fetch", ""): lambda _: _fetch(),
     ("skill", ""): lambda _: _skill(),
 }
@@ -287,6 +305,7 @@ def shown_by(task: str, profile: str, backend: str) -> Mapping[str, tuple[Any, A
 SHOWN = {
     "social_nav": ON_DEVICES,
     "point_goal": ("goal_gps", *ON_DEVICES),
+    "crowd_nav": test_crowds.SHOWN,
     "rearrange": tuple(name for name in OBSERVED if TABLE[name].times != "choices" and name != "elapsed_s"),
     "fetch": tuple(
         name
@@ -323,7 +342,7 @@ def test_a_device_shows_and_judges_as_the_cpu(task: str, profile: str, name: str
     cpu, device = shown[name]
     assert cpu.shape == device.shape
     assert len(cpu) >= 60
-    navigates = task in ("social_nav", "point_goal")
+    navigates = task in ("social_nav", "point_goal", "crowd_nav")
     if name == "part_is_open":
         assert 0.2 < cpu.mean() < 0.8
     if name == "reward":
