@@ -285,7 +285,6 @@ RENAMED = {
     "sim_kinematic.tasks.play.Rollout": "WorldRollout",
     "sim_kinematic.tasks.resume.AddedTime": "h3data_pipelines.validation.added_time.AddedTime",
     "sim_kinematic.tasks.resume.added_time": "h3data_pipelines.validation.added_time.added_time",
-    "sim_kinematic.tasks.resume.agent_numbers": "h3data.recording.records.agent_numbers",
     "sim_kinematic.tasks.play.Session": "sim_kinematic.tasks.sessions.Session",
     "sim_kinematic.tasks.play.StepResult": "sim_kinematic.tasks.sessions.StepResult",
     "sim_kinematic.tasks.play.Turns": "DecisionLoop",
