@@ -17,6 +17,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import combinations
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -295,11 +296,13 @@ class World:
     def _move_posed(self, posed: Mapping[int, PoseCommand]) -> None:
         """Move people to the places that commands give them, all of them at once: the map does not change where they get."""
         every, robots = len(posed) == len(self.state.people), len(self.state.robots)
-        rows = np.concatenate([(k - robots) * self.worlds + self.rows for k in posed])
+        rows = slice(None) if every else np.concatenate([(k - robots) * self.worlds + self.rows for k in posed])
         own = self.people if every else self.people.take(rows)
-        points, headings = (np.concatenate([command[part] for command in posed.values()]) for part in range(2))
+        # the arrays of one person need no copy
+        join = itemgetter(0) if len(posed) == 1 else np.concatenate
+        points, headings, seats = (join([command[part] for command in posed.values()]) for part in range(3))
         move_people(own, points, headings, self.walker)
-        own.seat[:] = np.concatenate([command.seats for command in posed.values()])
+        own.seat[:] = seats
         if not every:
             self.people.put(rows, own)
         if tuple(posed) not in self._arms:

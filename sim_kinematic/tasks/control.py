@@ -13,7 +13,7 @@ import math
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -563,10 +563,7 @@ class MotionTeam(Team):
     def _context(self, agent: int) -> SensorContext:
         """Return the inputs of an agent's sensors in all worlds."""
         world = self.play.world
-        kinds = [member.kind for member in world.roster]
-        other = next((n for n, kind in enumerate(kinds) if kind != kinds[agent]), (agent + 1) % len(kinds))
-        now, before = world.state.agents, world.before.agents
-        mine = [p for p, pair in enumerate(world.pairs) if agent in pair]
+        (other, mine), now, before = self._beside[agent], world.state.agents, world.before.agents
         return SensorContext(
             self.play.spec,
             world.bases[agent],
@@ -584,6 +581,18 @@ class MotionTeam(Team):
             self._arms[agent],
             partial(self._path, agent, other),
         )
+
+    @cached_property
+    def _beside(self) -> list[tuple[int, list[int]]]:
+        """Return, for each agent, the other one that its sensors are about, and the pairs in which it is."""
+        kinds, pairs = [member.kind for member in self.play.world.roster], list(enumerate(self.play.world.pairs))
+        return [
+            (
+                next((n for n, other in enumerate(kinds) if other != kind), (agent + 1) % len(kinds)),
+                [p for p, pair in pairs if agent in pair],
+            )
+            for agent, kind in enumerate(kinds)
+        ]
 
     def _path(self, agent: int, other: int) -> tuple[Array, Array]:
         """Return the shortest paths from an agent to another: their lengths [W] [m] and their first waypoints [W, 2] [m]."""

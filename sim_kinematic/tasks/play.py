@@ -244,10 +244,10 @@ class WorldRollout:
                 raise H3DataError(
                     f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.", code="H3-TASK-007"
                 )
-        strange = sorted(set(outcome.columns) ^ set(task.columns))
-        if strange:
+        if strange := outcome.columns.keys() ^ task.columns:
             raise H3DataError(
-                f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.", code="H3-TASK-003"
+                f"{who}: columns must be those that the task declares; {', '.join(sorted(strange))} differ.",
+                code="H3-TASK-003",
             )
         for name, values in outcome.columns.items():
             if np.shape(values)[:1] != (worlds,):
