@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.rearrange_torch import cuda_clock, seconds_of_step
+
 if TYPE_CHECKING:
     from h3data_training.torch.crowd.bank import CrowdBank
 
@@ -44,7 +46,7 @@ def run(emit: Emit, *, episodes: int = 48) -> None:
     torch.set_num_threads(1)
     for worlds in CPU_WORLDS:
         for name, step in _steps(bank, worlds, "cpu"):
-            seconds = median(_seconds(step, CPU_STEPS, time.process_time) for _ in range(ROUNDS))
+            seconds = median(seconds_of_step(step, CPU_STEPS, time.process_time) for _ in range(ROUNDS))
             emit(f"crowd_torch.cpu.{name}_w{worlds}.steps_s", worlds / seconds, "steps/s")
     for model in ("orca", "social_force"):
         for side, walks in _walks(model, episodes).items():
@@ -57,7 +59,7 @@ def run(emit: Emit, *, episodes: int = 48) -> None:
     emit("crowd_torch.cuda.apart_m", _apart(bank), "m")
     for worlds in CUDA_WORLDS:
         for name, step in _steps(bank, worlds, "cuda"):
-            seconds = median(_seconds(step, CUDA_STEPS, _clock) for _ in range(ROUNDS))
+            seconds = median(seconds_of_step(step, CUDA_STEPS, cuda_clock) for _ in range(ROUNDS))
             emit(f"crowd_torch.cuda.{name}_w{worlds}_graph.steps_s", worlds / seconds, "steps/s")
 
 
@@ -145,22 +147,6 @@ def _apart(bank: CrowdBank) -> float:
                 play = sim.step(play, still)
         places.append(play.human.xz.cpu())
     return (places[0] - places[1]).abs().max().item()
-
-
-def _clock() -> float:
-    import torch
-
-    torch.cuda.synchronize()
-    return time.perf_counter()
-
-
-def _seconds(step: Callable[[], object], times: int, clock: Callable[[], float]) -> float:
-    """Return the time of one step [s]."""
-    step()
-    start = clock()
-    for _ in range(times):
-        step()
-    return (clock() - start) / times
 
 
 if __name__ == "__main__":

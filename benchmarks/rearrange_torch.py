@@ -42,7 +42,7 @@ def run(emit: Emit) -> None:
     torch.set_num_threads(1)
     for worlds in CPU_WORLDS:
         for name, step in _steps(bank, worlds, "cpu", compile=False):
-            seconds = median(_seconds(step, CPU_STEPS, time.process_time) for _ in range(ROUNDS))
+            seconds = median(seconds_of_step(step, CPU_STEPS, time.process_time) for _ in range(ROUNDS))
             emit(f"rearrange_torch.cpu.{name}_w{worlds}.steps_s", worlds / seconds, "steps/s")
     torch.set_num_threads(threads)
     if not torch.cuda.is_available():
@@ -52,7 +52,7 @@ def run(emit: Emit) -> None:
     for worlds in CUDA_WORLDS:
         for compile, how in ((False, "graph"), (True, "compiled")):
             for name, step in _steps(bank, worlds, "cuda", compile=compile):
-                seconds = median(_seconds(step, CUDA_STEPS, _clock) for _ in range(ROUNDS))
+                seconds = median(seconds_of_step(step, CUDA_STEPS, cuda_clock) for _ in range(ROUNDS))
                 emit(f"rearrange_torch.cuda.{name}_w{worlds}_{how}.steps_s", worlds / seconds, "steps/s")
 
 
@@ -131,15 +131,16 @@ def _apart(bank: RearrangeBank) -> float:
     return (places[0] - places[1]).abs().max().item()
 
 
-def _clock() -> float:
+def cuda_clock() -> float:
+    """Return the time [s] when the GPU has done what it was given."""
     import torch
 
     torch.cuda.synchronize()
     return time.perf_counter()
 
 
-def _seconds(step: Callable[[], object], times: int, clock: Callable[[], float]) -> float:
-    """Return the time of one step [s]."""
+def seconds_of_step(step: Callable[[], object], times: int, clock: Callable[[], float]) -> float:
+    """Return the mean time of ``times`` steps [s], after a first one."""
     step()
     start = clock()
     for _ in range(times):

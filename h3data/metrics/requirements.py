@@ -75,19 +75,15 @@ def find_agents(recording: Recording) -> tuple[int, int]:
     )
 
 
-def missing_columns(metric: Metric, recording: Recording) -> tuple[str, ...]:
-    """Return the entries of ``metric.columns`` that a recording lacks."""
-    return tuple(entry for entry in metric.columns if not any(_has(recording, name) for name in entry.split(OR)))
+def lacks(recording: Recording, entry: str) -> bool:
+    """Return whether a recording lacks an entry of `Metric.columns`."""
+    return not any(_has(recording, name) for name in entry.split(OR))
 
 
 def note_missing(metrics: Sequence[Metric], recording: Recording, notes: Notes) -> set[str]:
     """Return the names of the metrics that lack something, each with a note; raise a `MissingColumnsError` if all do."""
     # most metrics need the same few columns: each is looked up once
-    lacking = {
-        entry
-        for entry in {entry for metric in metrics for entry in metric.columns}
-        if not any(_has(recording, name) for name in entry.split(OR))
-    }
+    lacking = {entry for entry in {entry for m in metrics for entry in m.columns} if lacks(recording, entry)}
     needs = {m.name: missing for m in metrics if (missing := tuple(e for e in m.columns if e in lacking))}
     if len(needs) == len(metrics):
         raise MissingColumnsError(recording.episode.episode_id, needs)

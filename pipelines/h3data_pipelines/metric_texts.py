@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from h3data.metrics.metric import Metric
 from h3data.metrics.registry import all_profiles, find_profile
-from h3data.metrics.requirements import missing_columns
+from h3data.metrics.requirements import lacks
 from h3data.recording.records import Recording
 
 _RUNS = 4
@@ -47,7 +47,7 @@ def explain_episode(metric: Metric, recording: Recording, *, profile: str | None
         )
     value = measured.values[metric.name]
     unit = "" if metric.unit == "1" or np.isnan(value) else f" {metric.unit}"
-    missing = missing_columns(metric, recording)
+    missing = [entry for entry in metric.columns if lacks(recording, entry)]
     read = [name for name in (*metric.columns, *metric.optional) if name not in missing]
     lines = [
         f"{metric.name} = {_number(value)}{unit}  in episode {measured.episode_id!r} ({measured.rows} rows)",
