@@ -88,7 +88,7 @@ class Agenda(Protocol):
     def follow(self, version: int) -> Agenda:
         """Follow a version of the rules of people (`sim_kinematic.crowd.crowd.VERSION`) from now on; return itself.
 
-        Before the first call, the newest version for people with routines is followed.
+        Before the first call, the newest version is followed.
         """
         ...
 
