@@ -133,6 +133,8 @@ class Household(Team):
                 controller.surfaces = sight.names
         # `Objects.held` is -1 for an empty hand, which picks the last entry: no body
         self.bodies = np.append(body_indices(episode), -1)
+        self._masks: dict[tuple[int, bytes], bytes] = {}
+        """Answers of `_possible`."""
         self.at_goal = self._at_goal()
         self._places: list[Sequence[float]] = episode.starts.tolist()
         # views: a step changes the arrays of a world in place
@@ -459,7 +461,7 @@ class Household(Team):
                 e for e in self.messages if agent == e.agent or e.target in ("", self.episode.roster[agent].name)
             ],
             parts=self.parts,
-            open_parts=self.open_joints[list(self.parts)],
+            open_parts=self.open_joints[list(self.parts)] if self.parts else np.zeros(0, np.bool_),
             handles=self.handles,
         )
 
@@ -593,10 +595,16 @@ class Household(Team):
             "collision": bool(self.company.touching),
             "at_goal": self.at_goal.copy(),
             "held_by": self.objects.held_by.copy(),
-            "action_mask": np.array(
-                [not self.objects.why_not(number, action) for action in self.choices(number)], np.int8
-            ),
+            "action_mask": np.frombuffer(self._possible(number), np.int8).copy(),
         }
+
+    def _possible(self, number: int) -> bytes:
+        """Return which of an agent's `choices` are possible now, a byte of 0 or 1 each."""
+        # by who holds what: nothing else decides where agents know everything, and it seldom changes
+        now = number, self.objects.held_by.tobytes()
+        if now not in self._masks or self.objects.sight is not None:
+            self._masks[now] = bytes(not self.objects.why_not(number, action) for action in self.choices(number))
+        return self._masks[now]
 
     def scenery(self, world: int) -> dict[str, Any]:
         """Return the present state of arms, hands and objects, and doors and drawers where they last came to rest."""
