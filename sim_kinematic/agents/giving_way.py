@@ -118,8 +118,7 @@ class GivingWay:
         """Return the agent nearest to another, -1 if it is alone."""
         if len(self.actors) < 3:
             return 1 - number if len(self.actors) == 2 else -1
-        others = [actor for actor in self.actors if actor.number != number]
-        me = self.actors[number]
+        me, others = self.actors[number], [actor for actor in self.actors if actor.number != number]
         return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
@@ -142,10 +141,6 @@ class GivingWay:
         found = self._around[number]
         return found if found.agreed == self.agreed else found._replace(agreed=self.agreed)
 
-    def begin_turn(self, me: AnyActor) -> None:
-        """Prepare an agent for its own step."""
-        me.hindered_by = frozenset()
-
     def end_turn(self, number: int) -> None:
         """Note where an agent is after its turn, which is what the others observe of it until its next one."""
         actor = self.actors[number]
@@ -154,8 +149,7 @@ class GivingWay:
         # NumPy's, as kernels would compute other bits; people are one disc around their middle
         turned = (float(np.cos(heading)), float(np.sin(heading))) if actor.is_robot else (1.0, 0.0)
         path = (math.nan, math.nan) if start is None else start.tolist()
-        flags = bool(actor.yields), bool(actor.hindered_by)
-        steps = self._moments, AVOIDANCE.velocity_steps
+        flags, steps = (bool(actor.yields), bool(actor.hindered_by)), (self._moments, AVOIDANCE.velocity_steps)
         _CALL(_turn, self.neighbours.agents, self._places, *steps, number, *here, *turned, *path, *flags)
 
     def meets(self, me: AnyActor) -> bool:

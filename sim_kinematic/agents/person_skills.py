@@ -96,8 +96,6 @@ class PersonActor:
     """Discs on the floor that other agents keep clear of."""
 
     def __post_init__(self) -> None:
-        self.xz: NDArray[np.float64] = self.person.spot
-        """Position on the floor [2] [m], a view."""
         self._gait = HumanState.zeros(1)
         self._announced: NDArray[np.floating] | partial[NDArray[np.floating]] = NO_PATH
         self._stands: dict[tuple[FreeSpace, Hand, int, bytes], Array] = {}
@@ -141,6 +139,11 @@ class PersonActor:
             # the first argument of `_joined` is the person's place, so nothing is joined for it
             return self._announced.args[0]
         return self._announced[0] if len(self._announced) else None
+
+    @property
+    def xz(self) -> NDArray:
+        """Position on the floor [2] [m], a view."""
+        return self.person.spot
 
     @property
     def heading(self) -> float:

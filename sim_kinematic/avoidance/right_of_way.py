@@ -459,8 +459,7 @@ class RightOfWay:
 
         The route passes agents that can step aside only if there is no other.
         """
-        spec = AVOIDANCE
-        others = [other for other in self._walkers.values() if other is not walker]
+        spec, others = AVOIDANCE, [other for other in self._walkers.values() if other is not walker]
         firm = [other for other in others if other in first or not other.yields]
         kept = [*paths, *((other, self.path(other)) for other in first if other is not walker)]
         room = spec.room_m[walker.is_robot] + _size_beyond_default(walker)

@@ -39,8 +39,8 @@ class Encounter:
     waited: bool = False
     """True if one of the two has waited for the other, which is driven from outside."""
     completed: tuple[int, ...] = ()
+    # progress of both agents when it was last judged
     errands: tuple[TaskProgress | None, ...] = (None, None)
-    """Progress of both agents when it was last judged."""
     legs: dict[int, tuple[Hashable, Callable[[], float]]] = field(default_factory=dict)
     """Activity of each agent, and its remaining distance when the activity began or the agents met
     (`TaskProgress.way`)."""
@@ -71,12 +71,11 @@ class StandOffs:
             if not near or math.dist(*[self._walkers[number].xz.tolist() for number in pair]) > AVOIDANCE.stand_off_m:
                 encounter.steps, encounter.waited = 0, False
                 encounter.legs.clear()
-                encounter.errands = None, None
                 continue
             encounter.steps += 1
             a, b = errands = self.errand(pair[0]), self.errand(pair[1])
             # by identity: in nearly all steps both are at the same, and their lengths to go are looked at now and then
-            same = a is encounter.errands[0] and b is encounter.errands[1]
+            same = a is encounter.errands[0] and b is encounter.errands[1] and len(encounter.legs) > 0
             if not (same and encounter.steps % AVOIDANCE.looks_steps) and self._gets_on(encounter, errands):
                 encounter.steps, encounter.rounds = 0, 0
                 continue
@@ -104,5 +103,4 @@ class StandOffs:
         # the distance to go is measured anew from here, or one good step would count again and again
         if gets_on:
             encounter.legs.clear()
-            encounter.errands = None, None
         return gets_on

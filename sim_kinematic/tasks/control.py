@@ -73,9 +73,8 @@ class Team(ABC):
 
     def begin_step(self) -> None:
         """Start a step of the only world."""
-        step = self.play.step
         for controller in self.controllers:
-            controller.begin(step)
+            controller.begin(self.play.step)
 
     def begin_turn(self, number: int) -> None:  # noqa: B027
         """Prepare an agent before it is asked for a choice or moved."""

@@ -427,6 +427,5 @@ def _has_come_near(others: Neighbours, stood: NDArray, xz: NDArray) -> bool:
 
     Those that were too far away to be planned around stood at NaN.
     """
-    close = others.near(xz) & (np.hypot(*(others.places - xz).T) <= AVOIDANCE.retreat_m)
     moved = ~(np.hypot(*(others.places - stood).T) <= AVOIDANCE.moving_m)
-    return bool((close & moved).any())
+    return bool((moved & others.near(xz) & (np.hypot(*(others.places - xz).T) <= AVOIDANCE.retreat_m)).any())
