@@ -185,8 +185,7 @@ def quat_from_heading(heading_rad: ArrayLike) -> Array:
 
 def heading_from_quat(q: ArrayLike) -> Array:
     """Return the headings [...] [rad] of the x axes of frames [..., 4]; roll and pitch are dropped."""
-    # a tuple holds the four floats of one frame
-    x, y, z, w = q if isinstance(q, tuple) else q.tolist() if _is_single(q) else _components(_floating(q))  # type: ignore[union-attr]
+    x, y, z, w = q.tolist() if _is_single(q) else _components(_floating(q))  # type: ignore[union-attr]
     # Bit-identical to `quat_rotate` of (1, 0, 0), signs of zeros included, without the component that goes unused
     tx, ty, tz = 2 * (y * 0 - z * 0), 2 * (z - x * 0), 2 * (x * 0 - y)
     return np.arctan2(-(0 + w * tz + (x * ty - y * tx)), 1 + w * tx + (y * tz - z * ty))

@@ -231,8 +231,8 @@ class Person:
     def base(self, pose: Array) -> None:
         self._base = pose
         # in place, because `spot` and `_drawn` look at the same arrays
-        self.spot[0], _, self.spot[1], *quat = pose.tolist()
-        self.state.heading[0] = heading_from_quat(tuple(quat))
+        self.spot[0], _, self.spot[1], *_ = pose.tolist()
+        self.state.heading[0] = heading_from_quat(pose[3:])
 
     @property
     def heading(self) -> float:
