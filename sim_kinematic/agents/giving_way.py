@@ -118,8 +118,7 @@ class GivingWay:
         """Return the agent nearest to another, -1 if it is alone."""
         if len(self.actors) < 3:
             return 1 - number if len(self.actors) == 2 else -1
-        others = [actor for actor in self.actors if actor.number != number]
-        me = self.actors[number]
+        me, others = self.actors[number], [actor for actor in self.actors if actor.number != number]
         return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
@@ -142,17 +141,16 @@ class GivingWay:
         found = self._around[number]
         return found if found.agreed == self.agreed else found._replace(agreed=self.agreed)
 
-    def begin_turn(self, me: AnyActor) -> None:
-        """Prepare an agent for its own step."""
-        me.hindered_by = frozenset()
-
     def end_turn(self, number: int) -> None:
         """Note where an agent is after its turn, which is what the others observe of it until its next one."""
-        actor, first = self.actors[number], max(self._moments - AVOIDANCE.velocity_steps, 0)
-        (x, z), (was_x, was_z) = actor.xz.tolist(), self._places[number, first].tolist()
-        self.at[number], seconds = (x, z, actor.heading), STEP_S * max(self._moments - first, 1)
-        velocity, flags = ((x - was_x) / seconds, (z - was_z) / seconds), (actor.yields, bool(actor.hindered_by))
-        self.neighbours.note(number, actor, velocity, actor.path_start, yields=flags[0], hindered=flags[1])
+        actor = self.actors[number]
+        (x, z), heading, start = actor.xz.tolist(), actor.heading, actor.path_start
+        self.at[number] = here = x, z, heading
+        # NumPy's, as kernels would compute other bits; people are one disc around their middle
+        turned = (float(np.cos(heading)), float(np.sin(heading))) if actor.is_robot else (1.0, 0.0)
+        path = (math.nan, math.nan) if start is None else start.tolist()
+        flags, steps = (bool(actor.yields), bool(actor.hindered_by)), (self._moments, AVOIDANCE.velocity_steps)
+        _CALL(_turn, self.neighbours.agents, self._places, *steps, number, *here, *turned, *path, *flags)
 
     def meets(self, me: AnyActor) -> bool:
         """Return whether an agent in its present posture touches another that it avoids and did not touch before."""
@@ -163,7 +161,8 @@ class GivingWay:
             for other, pair in self._avoided[me.number]
             if self._is_near(me.number, here, other) and pair not in self.touching and self._touch(*pair)
         ]
-        me.hindered_by |= frozenset(met)
+        if met:
+            me.hindered_by |= frozenset(met)
         return bool(met)
 
     def discs_of(self, number: int) -> NDArray[np.float64]:
@@ -265,6 +264,16 @@ def _is_same(was: Any, now: Any) -> bool:
 def _root(actor: AnyActor) -> Array:
     """Return the pose (pose7) of an agent root [7]."""
     return actor.pose if isinstance(actor, RobotActor) else actor.person.base
+
+
+@kernel(error_model="numpy")
+def _turn(agents, places, moments, count, k, x, z, heading, c, s, start_x, start_z, yields, hindered):
+    """Write what a turn changes of agent ``k``: place, velocity over ``count`` steps, start of its path, and two flags."""
+    row, first = agents[k], max(moments - count, 0)
+    seconds = STEP_S * max(moments - first, 1)
+    row["x"], row["z"], row["heading"], row["cos"], row["sin"] = x, z, heading, c, s
+    row["velocity_x"], row["velocity_z"] = (x - places[k, first, 0]) / seconds, (z - places[k, first, 1]) / seconds
+    row["start_x"], row["start_z"], row["yields"], row["hindered"] = start_x, start_z, yields, hindered
 
 
 @kernel(error_model="numpy")

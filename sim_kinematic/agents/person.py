@@ -456,7 +456,7 @@ class Person:
                 at = min(k, held - 1)
                 quats = poses.quats[at].copy()
                 self.walk.step(self.base)
-                quats[HEAD_JOINTS] = self.walk.pose()[0][HEAD_JOINTS]
+                quats[HEAD_JOINTS] = self.walk.pose(joints=HEAD_JOINTS[-1] + 1)[0][HEAD_JOINTS]
                 self.show("reach", self.with_arms(quats, hand), poses.pelvis[at])
                 yield
         self._closing.pop(hand, None)
@@ -509,7 +509,7 @@ class Person:
         for quats, pelvis, at in zip(poses.quats, poses.pelvis, way, strict=True):
             self.walk.step(self.base)
             # those of a reach look at the target at once: up to 480 degrees a second
-            quats[HEAD_JOINTS] = self.walk.pose()[0][HEAD_JOINTS]
+            quats[HEAD_JOINTS] = self.walk.pose(joints=HEAD_JOINTS[-1] + 1)[0][HEAD_JOINTS]
             self.show("reach", self.with_arms(quats, hand), pelvis)
             yield float(at / way[-1]) if way[-1] else 1.0
 

@@ -244,10 +244,12 @@ class RightOfWay:
         held_up = self._stalled(me.number) >= AVOIDANCE.held_up_steps
         if other.yields and held_up and other.number in me.hindered_by:
             return True
-        x, z = (math.nan, math.nan) if start is None else start
+        # nothing is near an empty path; with the kernel's own conditions first, which rule out most
+        if start is None or not other.yields or (moves and not held_up):
+            return False
         beside = float(self._marks["beside"][self._row[me.number]])
         extent = float(self._marks["extent"][self._row[other.number]])
-        if not is_close(x, z, *other.xz.tolist(), moves, other.yields, held_up, beside, extent, *_COUNTS[-2:]):
+        if not is_close(*start, *other.xz.tolist(), moves, True, held_up, beside, extent, *_COUNTS[-2:]):
             return False
         ahead_m = AVOIDANCE.asks_moving_m if len(self.path(other)) else AVOIDANCE.asks_idle_m
         # an agent that is nearer to me than to the path ahead of me is behind or beside me, and clear as I go on
@@ -457,8 +459,7 @@ class RightOfWay:
 
         The route passes agents that can step aside only if there is no other.
         """
-        spec = AVOIDANCE
-        others = [other for other in self._walkers.values() if other is not walker]
+        spec, others = AVOIDANCE, [other for other in self._walkers.values() if other is not walker]
         firm = [other for other in others if other in first or not other.yields]
         kept = [*paths, *((other, self.path(other)) for other in first if other is not walker)]
         room = spec.room_m[walker.is_robot] + _size_beyond_default(walker)

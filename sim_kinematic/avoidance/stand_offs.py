@@ -39,6 +39,8 @@ class Encounter:
     waited: bool = False
     """True if one of the two has waited for the other, which is driven from outside."""
     completed: tuple[int, ...] = ()
+    # progress of both agents when it was last judged
+    errands: tuple[TaskProgress | None, ...] = (None, None)
     legs: dict[int, tuple[Hashable, Callable[[], float]]] = field(default_factory=dict)
     """Activity of each agent, and its remaining distance when the activity began or the agents met
     (`TaskProgress.way`)."""
@@ -71,25 +73,27 @@ class StandOffs:
                 encounter.legs.clear()
                 continue
             encounter.steps += 1
-            errands = {number: self.errand(number) for number in pair}
-            if self._gets_on(encounter, errands):
+            a, b = errands = self.errand(pair[0]), self.errand(pair[1])
+            # by identity: in nearly all steps both are at the same, and their lengths to go are looked at now and then
+            same = a is encounter.errands[0] and b is encounter.errands[1] and len(encounter.legs) > 0
+            if not (same and encounter.steps % AVOIDANCE.looks_steps) and self._gets_on(encounter, errands):
                 encounter.steps, encounter.rounds = 0, 0
                 continue
-            driven = [number for number, errand in errands.items() if not errand.obeys]
+            driven = [] if a.obeys and b.obeys else [n for n, e in zip(pair, errands, strict=True) if not e.obeys]
             long = encounter.steps > AVOIDANCE.stand_off_steps[len(driven) > 0]
             # nobody can tell who is driven from outside to give way, so the other one must not wait as long
-            long |= any(held_off(sum(pair) - number, number) for number in driven)
+            long |= len(driven) > 0 and any(held_off(sum(pair) - number, number) for number in driven)
             # two that have nothing to do may stand beside each other for ever
-            if long and any(errand.busy for errand in errands.values()):
+            if long and (a.busy or b.busy):
                 stuck.append(pair)
         return stuck
 
-    def _gets_on(self, encounter: Encounter, errands: dict[int, TaskProgress]) -> bool:
+    def _gets_on(self, encounter: Encounter, errands: tuple[TaskProgress, TaskProgress]) -> bool:
         """Return whether one of the two agents has completed something, or got nearer to its goal by ``gets_on_m``."""
-        completed = tuple(errand.completed for errand in errands.values())
+        completed = errands[0].completed, errands[1].completed
         gets_on = completed != encounter.completed and len(encounter.completed) > 0
-        encounter.completed = completed
-        for number, errand in errands.items():
+        encounter.completed, encounter.errands = completed, errands
+        for number, errand in enumerate(errands):
             known = encounter.legs.get(number)
             if known is None or known[0] != errand.leg:
                 encounter.legs[number] = errand.leg, errand.way()

@@ -84,7 +84,7 @@ class Neighbours(NamedTuple):
 
     @classmethod
     def of(cls, bodies: Sequence[Body]) -> Neighbours:
-        """Return the arrays of some agents, numbered in this order, who stand and are all heeded."""
+        """Return the arrays of some agents, numbered in this order, who are all heeded and not yet placed."""
         prints = [body.footprint for body in bodies]
         most = max((len(footprint.offsets_m) for footprint in prints), default=1)
         found = cls(np.zeros(len(prints), AGENT), np.zeros((len(prints), most)), np.ones(len(prints), np.bool_))
@@ -93,27 +93,7 @@ class Neighbours(NamedTuple):
             found.agents["number"][k], found.agents["discs"][k] = k, len(footprint.offsets_m)
             found.agents["radius"][k], found.agents["extent"][k] = footprint.radius_m, footprint.extent_m
             found.agents["is_robot"][k] = body.is_robot
-            found.note(k, body)
         return found
-
-    def note(
-        self,
-        k: int,
-        body: Body,
-        velocity: tuple[float, float] = (0.0, 0.0),
-        start: NDArray[np.floating] | None = None,
-        *,
-        yields: bool = False,
-        hindered: bool = False,
-    ) -> None:
-        """Write what a turn of the agent in row ``k`` changes: its place, its velocity, and the first point of its path."""
-        # NumPy's, as kernels would compute other bits; people are one disc around their middle
-        heading = float(body.heading)
-        turned = (float(np.cos(heading)), float(np.sin(heading))) if body.is_robot else (1.0, 0.0)
-        path = (math.nan, math.nan) if start is None else start.tolist()
-        _CALL(
-            _note, self.agents, k, *body.xz.tolist(), heading, *turned, *velocity, *path, bool(yields), bool(hindered)
-        )
 
     @property
     def standing(self) -> NDArray[np.bool_]:
@@ -150,15 +130,6 @@ class Neighbours(NamedTuple):
 
 NO_NEIGHBOURS = Neighbours.of(())
 """Neighbours of an agent that is alone."""
-
-
-@kernel(error_model="numpy")
-def _note(agents, k, x, z, heading, c, s, velocity_x, velocity_z, start_x, start_z, yields, hindered):
-    """Write what a turn changes of the agent in row ``k``."""
-    row = agents[k]
-    row["x"], row["z"], row["heading"], row["cos"], row["sin"] = x, z, heading, c, s
-    row["velocity_x"], row["velocity_z"], row["start_x"], row["start_z"] = velocity_x, velocity_z, start_x, start_z
-    row["yields"], row["hindered"] = yields, hindered
 
 
 @kernel(error_model="numpy")

@@ -185,7 +185,7 @@ class Traffic:
             self._begin_step(step)
         actor = self.actors[number]
         actor.yields = True
-        self._company.begin_turn(actor)
+        actor.hindered_by = frozenset()
         return actor
 
     def end_turn(self, number: int) -> None:

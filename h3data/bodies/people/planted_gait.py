@@ -204,9 +204,12 @@ class PlantedWalk:
         _CALL(_kernels().stride_one, self.tables, self.state, x, z, heading, STEP_S, quats, pelvis)
         return quats, pelvis
 
-    def pose(self) -> tuple[Array, Array]:
-        """Return the local rotations [55, 4] and the position of the pelvis [3] [m] in the agent root frame."""
-        quats, pelvis = np.empty((1, JOINT_COUNT, 4)), np.empty((1, 3))
+    def pose(self, *, joints: int = JOINT_COUNT) -> tuple[Array, Array]:
+        """Return the local rotations [joints, 4] and the position of the pelvis [3] [m] in the agent root frame.
+
+        As for `pose_planted`, fewer joints take less time.
+        """
+        quats, pelvis = np.empty((1, joints, 4)), np.empty((1, 3))
         _CALL(_kernels().pose_gaits, self.tables, self.state[None], quats, pelvis)
         return quats[0], pelvis[0]
 

@@ -22,9 +22,12 @@ def floor_points(points: ArrayLike) -> NDArray[np.float64]:
 
 
 def one_point(point: ArrayLike) -> NDArray[np.float64]:
-    p = floor_points(point)
+    p = np.asarray(point, np.float64)
     if p.shape != (2,):
-        raise InputError(f"Expected one floor point (x, z), shape [2], got {list(p.shape)}.", code="H3-SCENE-007")
+        # points of any leading shape are refused here, others by `floor_points`
+        raise InputError(
+            f"Expected one floor point (x, z), shape [2], got {list(floor_points(p).shape)}.", code="H3-SCENE-007"
+        )
     return p
 
 

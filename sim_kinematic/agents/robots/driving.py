@@ -131,7 +131,7 @@ class RobotDriver:
     @property
     def heading(self) -> float:
         """Heading of the base [rad]."""
-        return float(self.state.heading[0])
+        return self.state.heading.item(0)
 
     @property
     def path(self) -> NDArray[np.floating]:
@@ -237,7 +237,7 @@ class RobotDriver:
         (x, z), (to_x, to_z), limits = self.xz.tolist(), towards.tolist(), self.base
         stride_m, error = limits.max_speed_mps * STEP_S, self._error_to(towards)
         turned = limits.max_turn_rad_s * STEP_S * float(np.hypot(to_x - x, to_z - z))
-        ahead, aside = max(0.0, float(np.cos(error))) ** 2, abs(float(np.sin(error)))
+        ahead, aside = max(0.0, math.cos(error)) ** 2, abs(math.sin(error))
         # slow enough to turn to a near point instead of circling it: the bearing of a point at distance d turns by
         # v sin(e) / d, at most half as fast as the base; a command of 1 covers `stride_m`, so the last step ends at the goal
         forward = min(ahead, 0.5 * turned / max(aside * stride_m, 1e-9), left_m / stride_m)
@@ -427,6 +427,5 @@ def _has_come_near(others: Neighbours, stood: NDArray, xz: NDArray) -> bool:
 
     Those that were too far away to be planned around stood at NaN.
     """
-    close = others.near(xz) & (np.hypot(*(others.places - xz).T) <= AVOIDANCE.retreat_m)
     moved = ~(np.hypot(*(others.places - stood).T) <= AVOIDANCE.moving_m)
-    return bool((close & moved).any())
+    return bool((moved & others.near(xz) & (np.hypot(*(others.places - xz).T) <= AVOIDANCE.retreat_m)).any())

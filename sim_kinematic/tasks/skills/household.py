@@ -133,6 +133,8 @@ class Household(Team):
                 controller.surfaces = sight.names
         # `Objects.held` is -1 for an empty hand, which picks the last entry: no body
         self.bodies = np.append(body_indices(episode), -1)
+        # which of its `choices` an agent can make, by its number and the bytes of `Objects.held_by`
+        self._masks: dict[tuple[int, bytes], NDArray[np.int8]] = {}
         self.at_goal = self._at_goal()
         self._places: list[Sequence[float]] = episode.starts.tolist()
         # views: a step changes the arrays of a world in place
@@ -346,7 +348,7 @@ class Household(Team):
     def begin_turn(self, number: int) -> None:
         """Update an agent's view of the others, and interrupt its skill if its policy requests it."""
         controller = self.controllers[number]
-        self.company.begin_turn(controller.actor)
+        controller.actor.hindered_by = frozenset()
         # a command lasts one step, so there is nothing to interrupt
         if controller.is_free:
             return
@@ -459,7 +461,7 @@ class Household(Team):
                 e for e in self.messages if agent == e.agent or e.target in ("", self.episode.roster[agent].name)
             ],
             parts=self.parts,
-            open_parts=self.open_joints[list(self.parts)],
+            open_parts=self.open_joints[list(self.parts)] if self.parts else np.zeros(0, np.bool_),
             handles=self.handles,
         )
 
@@ -569,9 +571,8 @@ class Household(Team):
 
     def _at_goal(self) -> NDArray[np.bool_]:
         """Return which objects are at their goals and in nobody's hand, [K]."""
-        at_goal = np.empty(len(self.objects.goals), np.bool_)
-        objects, within_m = self.objects, float(self.episode.spec.at_goal_m)
-        _CALL(_reached, objects.poses, objects.goals, objects.held_by, within_m, at_goal)
+        objects, at_goal = self.objects, np.empty(len(self.objects.goals), np.bool_)
+        _CALL(_reached, objects.poses, objects.goals, objects.held_by, float(self.episode.spec.at_goal_m), at_goal)
         return at_goal
 
     def exact(
@@ -587,15 +588,18 @@ class Household(Team):
     def info(self, number: int) -> dict[str, Any]:
         """Return facts about an agent's last skill, the objects, and the choices that are possible now."""
         ending = self.controllers[number].ending
+        # by who holds what: nothing else decides where agents know everything, and it seldom changes
+        now = number, self.objects.held_by.tobytes()
+        if now not in self._masks or self.objects.sight is not None:
+            possible = [not self.objects.why_not(number, action) for action in self.choices(number)]
+            self._masks[now] = np.array(possible, np.int8)
         return {
             "outcome": ending.outcome if ending else "running",
             "reason": ending.reason if ending else "",
             "collision": bool(self.company.touching),
             "at_goal": self.at_goal.copy(),
             "held_by": self.objects.held_by.copy(),
-            "action_mask": np.array(
-                [not self.objects.why_not(number, action) for action in self.choices(number)], np.int8
-            ),
+            "action_mask": self._masks[now].copy(),
         }
 
     def scenery(self, world: int) -> dict[str, Any]:

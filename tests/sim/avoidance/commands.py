@@ -13,7 +13,7 @@ from sim_kinematic.avoidance import velocity
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import base_numbers
-from sim_kinematic.avoidance.yielding import Neighbours
+from sim_kinematic.avoidance.yielding import Body, Neighbours
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.state import RobotState
 
@@ -32,11 +32,20 @@ class Seen(NamedTuple):
     footprint: Footprint = AVOIDANCE.person
 
 
+def note(found: Neighbours, k: int, body: Body, **values: float) -> None:
+    """Write where an agent is and further ``values`` to row ``k``, with no path if they name none."""
+    row, turn = found.agents[k], body.heading if body.is_robot else 0.0
+    (x, z), heading = body.xz.tolist(), body.heading
+    told = {"x": x, "z": z, "heading": heading, "cos": math.cos(turn), "sin": math.sin(turn)}
+    for name, value in {**told, "start_x": math.nan, "start_z": math.nan, **values}.items():
+        row[name] = value
+
+
 def neighbours(*others: Seen, first: int = 1) -> Neighbours:
     """The arrays of some agents, of which the first has the number ``first``."""
     found = Neighbours.of(others)
     for k, other in enumerate(others):
-        found.note(k, other, (float(other.velocity[0]), float(other.velocity[1])))
+        note(found, k, other, velocity_x=other.velocity[0], velocity_z=other.velocity[1])
         found.agents["settled"][k], found.agents["number"][k] = other.settled, first + k
     return found
 
@@ -46,7 +55,8 @@ def decide(rules: RightOfWay, carrying: Sequence[int] = ()) -> None:
     walkers = list(rules._walkers.values())
     found = Neighbours.of(walkers)
     for k, walker in enumerate(walkers):
-        found.note(k, walker, start=walker.path_start, yields=walker.yields, hindered=bool(walker.hindered_by))
+        start = {} if walker.path_start is None else dict(zip(("start_x", "start_z"), walker.path_start, strict=True))
+        note(found, k, walker, **start, yields=walker.yields, hindered=bool(walker.hindered_by))
     rules.update(found.agents, carrying)
 
 
