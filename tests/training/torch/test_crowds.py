@@ -35,7 +35,7 @@ from tests.training.torch.capturable import CapturableOnly  # noqa: E402
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 HOME, SEED, WORLDS, PEOPLE = "medium:1", 3, 4, 4
 RULES = CrowdNavSpec(end_on_collision=False)
-SHOWN = ("goal_gps", "humanoid_gps", "humanoid_velocity", "egomotion", "range_scan", "lidar", "localization")
+SHOWN = ("goal_gps", "people", "humanoid_gps", "humanoid_velocity", "egomotion", "range_scan", "lidar", "localization")
 """Sensors that no look-up changes."""
 
 
@@ -337,7 +337,7 @@ def test_a_step_can_be_part_of_a_graph(model: Any, bank: CrowdBank) -> None:
     play, still = sim.before_the_first(torch.zeros(2, dtype=torch.int64)), torch.zeros(2, 2)
     with CapturableOnly():
         after = sim.step(play, still)
-        sim.observations(("goal_gps", "way", *LIDARS), after)
+        sim.observations(("goal_gps", "goal_way", "people", "way", *LIDARS), after)
     for mine, theirs in zip(play.tensors(), after.tensors(), strict=True):
         assert (mine.shape, mine.dtype) == (theirs.shape, theirs.dtype)
         assert mine.is_contiguous(), "a graph writes into it"
