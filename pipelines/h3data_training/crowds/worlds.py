@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import cast
 
 import torch
 from torch import Tensor
 
-from h3data.errors import InputError, SceneError
+from h3data.errors import SceneError
 from h3data_training.crowds.settings import CrowdSettings
 from h3data_training.episodes import by_home, listed_scenes
 from h3data_training.torch.crowd.bank import CrowdBank
@@ -52,22 +51,10 @@ class ActionRepeatCrowd(ActionRepeat):
         self._shown: dict[str, Tensor] = {}
         self._move = fused(self._moved) if compile and can_fuse() else self._moved
 
-    def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Start an episode in all worlds, each at the position in the bank that depends on its seed."""
-        with torch.no_grad():
-            self._begin(seed)
-            hold, self.hold = self.hold, 1
-            self._eager()
-            self.hold = hold
-        return self._result(), {}
-
     def _eager(self) -> None:
         self._hold_action()
         shown = self.sim.observations(self._names, self.play)
-        if not self._shown:
-            self._shown = {name: tensor.clone() for name, tensor in shown.items()}
-        # a captured graph writes there in every replay
-        overwrite((self._shown[name] for name in shown), shown.values())
+        self._show(shown)
 
     def _step_held(self, k: int) -> None:
         self._move()
@@ -100,10 +87,6 @@ class ActionRepeatCrowd(ActionRepeat):
             "steps_per_episode": steps / ended,
             "ended": total["ended"],
         }
-
-    def taught(self) -> Tensor:
-        """Return None, because crowd navigation has no teacher."""
-        raise InputError("There is no teacher of crowd navigation. Hint: teacher=0.", code="H3-TRAIN-086")
 
 
 def make_crowd_bank(settings: CrowdSettings, *, seed: int, workers: int | None = None) -> CrowdBank:
