@@ -359,7 +359,7 @@ def test_a_device_shows_and_judges_as_the_cpu(task: str, profile: str, name: str
         assert np.quantile(off, 0.995) < (0.02 if name == "lidar_legs" else 1e-4)
         if task == "social_nav":  # the robot chases a person, and sees their legs
             assert 0.003 < (cpu != shown["lidar" if name == "lidar_legs" else "lidar_legs"][0]).mean() < 0.5
-    elif name == "way":  # looked up, not searched for: exact where the way is straight
+    elif name in ("way", "goal_way"):  # looked up, not searched for: exact where the way is straight
         assert np.median(np.abs(device[:, 0] - cpu[:, 0]) / np.maximum(cpu[:, 0], 0.3)) < 0.01
         turned = np.abs(np.exp(1j * device[:, 1]) - np.exp(1j * cpu[:, 1]))
         assert np.quantile(turned, 0.8) < np.radians(20)
