@@ -81,7 +81,7 @@ RECIPES: dict[str, CrowdSettings] = {
         _FAST,
         episodes_per_home=4,
         worlds=512,
-        rollout=16,
+        minibatches=4,
         hidden=64,
         act_width=64,
         critic_width=128,
