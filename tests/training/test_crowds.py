@@ -19,7 +19,7 @@ from h3data.errors import FormatError, InputError  # noqa: E402
 from h3data_crowds.crowd_nav import CrowdNav  # noqa: E402
 from h3data_pipelines.cli import main  # noqa: E402
 from h3data_training import run as runs  # noqa: E402
-from h3data_training.crowds.settings import OBSERVED, RECIPES, CrowdSettings, crowd_recipe  # noqa: E402
+from h3data_training.crowds.settings import OBSERVED, CrowdSettings, crowd_recipe  # noqa: E402
 from h3data_training.crowds.worlds import ActionRepeatCrowd, make_crowd_bank  # noqa: E402
 from h3data_training.curve import curve_of  # noqa: E402
 from h3data_training.networks import ActorCritic, actor_numbers  # noqa: E402
@@ -37,7 +37,7 @@ from tests.training.torch.capturable import CapturableOnly  # noqa: E402
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 HOME = "small:1"
 SMALL = replace(
-    RECIPES["tiny"],
+    crowd_recipe("tiny", "crowd_nav"),
     scenes=HOME,
     people=2,
     episodes_per_home=2,
@@ -84,7 +84,9 @@ def untrained(settings: CrowdSettings = SMALL, **card: Any) -> VisualPolicy:
 # --- training -----------------------------------------------------------------------------------------------------------
 @pytest.mark.slow
 def test_it_learns_to_drive_to_the_goal(tmp_path: Path) -> None:
-    alone = crowd_recipe("tiny", scenes=HOME, people=0, worlds=128, minutes=10.0, updates=40, episodes_per_home=8)
+    alone = crowd_recipe(
+        "tiny", "crowd_nav", scenes=HOME, people=0, worlds=128, minutes=10.0, updates=40, episodes_per_home=8
+    )
     assert train(tmp_path, alone, name="alone").done
     curve = curve_of(tmp_path)
     assert curve[0]["reward"] < 0.01
@@ -209,7 +211,7 @@ def test_networks_of_layers_play_too(tmp_path: Path) -> None:
 def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     for card, code in (({"task": "social_nav"}, "H3-POLICY-016"), ({"robot": "wheeled_arm"}, "H3-POLICY-020")):
         file = tmp_path / f"{code}.npz"
-        save_policy(untrained(**card), file)
+        save_policy(untrained(SMALL, **card), file)
         with pytest.raises(FormatError, match=code):
             h3data.simulate("crowd_nav", HOME, agents={"robot": f"weights:{file}"}, max_steps=2)
     for kind, name in (("robot", "end_to_end"), ("human", f"weights:{file}")):

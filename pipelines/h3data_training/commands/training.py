@@ -284,7 +284,7 @@ class Train:
         if self.task == "skill":
             settings: Settings = skill_recipe(name, self.skill, **changes)
         elif TRAINERS.get(self.task).has_crowds:
-            settings = crowd_recipe(name, **changes, people=self.people)
+            settings = crowd_recipe(name, self.task, **changes, people=self.people)
         else:
             settings = recipe(name, **changes, walk=self.rules, follow_steps=self.follow_steps)
         if self.size is not None and not settings.pictured:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from h3data.errors import InputError
@@ -20,6 +20,8 @@ UNUSED = ("walk", "follow_steps", "near_m", "light", "picture_size", "channels",
 class CrowdSettings(Settings):
     """Settings of a run of one robot among people, who follow a crowd model."""
 
+    crowd_task: str = ""
+    """Name of the task, which has the sensors `OBSERVED`."""
     episodes_per_home: int = 24
     rollout: int = 16
     minibatches: int = 8
@@ -52,7 +54,7 @@ class CrowdSettings(Settings):
     @property
     def task(self) -> str:
         """Name of the task in the policy file."""
-        return "crowd_nav"
+        return self.crowd_task
 
     @property
     def pictures(self) -> tuple[str, ...]:
@@ -74,27 +76,25 @@ class CrowdSettings(Settings):
         return {name: value for name, value in super().as_dict().items() if name not in UNUSED}
 
 
-_FAST = CrowdSettings()
-RECIPES: dict[str, CrowdSettings] = {
-    "fast": _FAST,
-    "tiny": replace(
-        _FAST,
-        episodes_per_home=4,
-        worlds=512,
-        minibatches=4,
-        hidden=64,
-        act_width=64,
-        critic_width=128,
-        rate=2e-3,
-        entropy=0.0,
-        minutes=10.0,
-    ),
+RECIPES: dict[str, dict[str, Any]] = {
+    "fast": {},
+    "tiny": {
+        "episodes_per_home": 4,
+        "worlds": 512,
+        "minibatches": 4,
+        "hidden": 64,
+        "act_width": 64,
+        "critic_width": 128,
+        "rate": 2e-3,
+        "entropy": 0.0,
+        "minutes": 10.0,
+    },
 }
-"""Recipes by name. ``fast`` takes minutes on one GPU, ``tiny`` uses a core of a CPU."""
+"""Settings of recipes, by name. ``fast`` takes minutes on one GPU, ``tiny`` uses a core of a CPU."""
 
 
-def crowd_recipe(name: str, **changes: Any) -> CrowdSettings:
-    """Return a recipe of crowd navigation with some settings changed; None leaves a setting unchanged.
+def crowd_recipe(name: str, task: str, **changes: Any) -> CrowdSettings:
+    """Return a recipe for a task with some settings changed; None leaves a setting unchanged.
 
     Raises:
         InputError: there is no such recipe, or a value is out of range.
@@ -103,4 +103,5 @@ def crowd_recipe(name: str, **changes: Any) -> CrowdSettings:
         raise InputError(
             f"Unknown recipe {name!r} of crowd navigation. Expected one of: {', '.join(RECIPES)}.", code="H3-TRAIN-083"
         )
-    return replace(RECIPES[name], **{k: v for k, v in changes.items() if v is not None})
+    given = {k: v for k, v in changes.items() if v is not None}
+    return CrowdSettings(crowd_task=task, **{**RECIPES[name], **given})
