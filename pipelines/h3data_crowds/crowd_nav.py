@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from h3data.errors import SceneError
 from h3data.scene import FreeSpace, Scene
 from h3data_crowds.imitation import imitation
-from h3data_crowds.learned import driver_of
+from h3data_crowds.learned import driver_of, reinforced
 from h3data_crowds.robots import ROBOTS, SKILLS
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.motion.randomness import generator
@@ -127,7 +127,9 @@ class CrowdNav(Task):
         ),
     }
     control: ClassVar[Control] = VelocityControl({"robot": SKILLS})
-    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**ROBOTS, "imitation": imitation}}
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "robot": {**ROBOTS, "imitation": imitation, "reinforced": reinforced}
+    }
     defaults: ClassVar[Mapping[str, str]] = {"robot": "dwa", "human": "orca"}
 
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:

@@ -8,14 +8,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.builtin import builtin_path
 from h3data.errors import InputError
 from h3data_crowds.robots import SKILLS
 from sim_kinematic.motion.spec import BaseSpec
-from sim_kinematic.policies.learned import VisualNavigation, require, trained_for
+from sim_kinematic.policies.learned import PREFIX, VisualNavigation, network_of, require, trained_for
 from sim_kinematic.policies.network import Network
-from sim_kinematic.policies.policy import Velocity
+from sim_kinematic.policies.policy import FunctionPolicy, Velocity
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.policies.visual_policy import VisualPolicy
+
+FILE = "policies/crowd_reinforced.npz"
+"""Weights among the shipped data, of `h3data train crowd_nav --recipe fast` (h3data docs crowds)."""
 
 
 class _Moment(NamedTuple):
@@ -47,6 +51,13 @@ def _observe(view: AgentView) -> Callable[..., Mapping[str, NDArray[Any]]]:
 
 def _moves(chosen: Velocity) -> Velocity:
     return chosen._replace(skill=SKILLS[0] if chosen.forward or chosen.turn else SKILLS[1])
+
+
+def reinforced(task: Any, episode: Any, number: int) -> FunctionPolicy:
+    """Return the robot with the shipped weights, which has learned by reinforcement, for one episode."""
+    network = network_of(f"{PREFIX}{builtin_path(FILE)}")
+    driver = driver_of(network, network.task, robot=episode.roster[number].model)
+    return FunctionPolicy(driver, episode.bases[number])
 
 
 def driver_of(network: Any, task: str, *, robot: str = "") -> Callable[[AgentView, BaseSpec], Velocity]:
