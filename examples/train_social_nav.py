@@ -1,7 +1,5 @@
 """One idea: a robot learns to find and follow a person by reinforcement learning (PPO, Schulman et al. 2017), in minutes.
 
-With --task crowd_nav it learns to get to a place among people instead.
-
 A thousand worlds are stepped as tensors, on the CPU or a GPU. The result is a file of weights that every command accepts as a
 policy: python examples/train_social_nav.py --out follower.npz --compile, then
 h3data evaluate social_nav --policies weights:follower.npz -o out/follower"""
@@ -20,7 +18,6 @@ from h3data.files import part_file
 from h3data.policies import from_torch, save_network
 
 OBSERVATIONS = ("humanoid_gps", "humanoid_velocity", "egomotion", "way", "range_scan")
-OF_CROWD_NAV = ("goal_gps", "egomotion", "range_scan", "lidar")
 ROLLOUT, EPOCHS = 64, 3  # steps in each world, times they are learned from
 LAMBDA, CLIP, ENTROPY, RATE = 0.95, 0.2, 0.002, 1e-3
 
@@ -63,9 +60,8 @@ def flat(observation: dict[str, Tensor]) -> Tensor:
 def roll_out(env: Any, learner: Learner, generator: torch.Generator, x: Tensor) -> tuple[dict[str, Tensor], Tensor]:
     """Collect `ROLLOUT` steps, arrays [T, W, ...], and return them with the observation that follows."""
     rows, info = [], env.info()
-    counts = "followed" if "followed" in info else "success"
     for _ in range(ROLLOUT):
-        begins, before, chosen = env.play.ended.clone(), info[counts], learner.policy(x)
+        begins, before, chosen = env.play.ended.clone(), info["followed"], learner.policy(x)
         action = chosen.mean + chosen.stddev * torch.randn(chosen.mean.shape, generator=generator, device=x.device)
         observation, reward, terminated, truncated, info = env.step(action)
         rows.append(
@@ -77,7 +73,7 @@ def roll_out(env: Any, learner: Learner, generator: torch.Generator, x: Tensor) 
                 "begins": begins,
                 "terminated": terminated,
                 "ended": terminated | truncated,
-                "counts": (info[counts] > before) & ~begins,
+                "followed": (info["followed"] > before) & ~begins,
                 "touches": terminated & info["collides"],
             }
         )
@@ -119,8 +115,6 @@ def learn(
 def train(
     out: Path = Path("follower.npz"),
     *,
-    task: str = "social_nav",
-    roster: str | None = None,
     scenes: str = "h3-homes/train",
     episodes: int = 1024,
     device: str = "cpu",
@@ -130,7 +124,7 @@ def train(
     steps: int = 40_000_000,
     seed: int = 0,
     horizon: tuple[int, int] = (100, 500),
-    observations: tuple[str, ...] = (),
+    observations: tuple[str, ...] = OBSERVATIONS,
     checkpoint_s: float = 10.0,
     resume: bool = False,
 ) -> list[dict[str, float]]:
@@ -138,8 +132,6 @@ def train(
 
     Args:
         out: File of weights. The learning curve (``.csv``) and the checkpoint (``.checkpoint``) are written next to it.
-        task: social_nav, or crowd_nav.
-        roster: Agents of crowd_nav, such as robot,human,human (default: a robot and four people).
         scenes: Homes for learning.
         episodes: Number of different episodes that are played.
         device: cpu or cuda.
@@ -150,16 +142,14 @@ def train(
         seed: Seed of all random numbers.
         horizon: Number of steps that the robot looks ahead at first and at last, so that finding the person is learned
             first.
-        observations: Observations of the robot (docs/environments.md; default: `OBSERVATIONS` or `OF_CROWD_NAV`).
+        observations: Observations of the robot (docs/environments.md).
         checkpoint_s: Time between two checkpoints [s].
         resume: Continue from the checkpoint; the weights are those of an uninterrupted run.
     """
     torch.manual_seed(seed)
-    observations = observations or (OBSERVATIONS if task == "social_nav" else OF_CROWD_NAV)
     env = h3data.make(
-        task,
+        "social_nav",
         scenes=scenes,
-        roster=roster,
         num_envs=worlds,
         device=device,
         dtype=torch.float32,
@@ -168,15 +158,12 @@ def train(
         episodes_seed=seed,
         compile=compile,
     )
-    counts = "followed" if task == "social_nav" else "success"
     x = flat(env.reset(seed=seed)[0])
     learner = Learner(x.shape[1]).to(device)
     optimizer = torch.optim.Adam(learner.parameters(), RATE)
     generator = torch.Generator(device).manual_seed(seed)
     checkpoint, curve = out.with_suffix(".checkpoint"), []
     asked = {
-        "task": task,
-        "roster": roster,
         "scenes": scenes,
         "episodes": len(env.bank),
         "worlds": worlds,
@@ -206,15 +193,13 @@ def train(
             seen, x = roll_out(env, learner, generator, x)
             add_advantages(seen, learner, x, gamma)
         learn(seen, learner, optimizer, generator, minibatch)
-        total = {name: float(seen[name].sum()) for name in ("begins", "reward", "counts", "touches", "ended")}
+        total = {name: float(seen[name].sum()) for name in ("begins", "reward", "followed", "touches", "ended")}
         moves, ends = size - total["begins"], max(total["ended"], 1.0)
-        # of steps the share of following, of episodes that of success
-        reached = total["counts"] / (moves if counts == "followed" else ends)
         curve.append(
             {
                 "step": done * size,
                 "reward": total["reward"] / moves,
-                counts: reached,
+                "followed": total["followed"] / moves,
                 "collided": total["touches"] / ends,
             }
         )
@@ -236,7 +221,7 @@ def train(
                     "".join(",".join(map(str, line)) + "\n" for line in [curve[0], *(r.values() for r in curve)])
                 )
     norm = {"mean": learner.mean.cpu(), "scale": learner.scale().cpu()}
-    save_network(from_torch(learner.actor, task=task, observations=observations, **norm), out)
+    save_network(from_torch(learner.actor, task="social_nav", observations=observations, **norm), out)
     return curve
 
 

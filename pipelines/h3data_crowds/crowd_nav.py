@@ -12,10 +12,16 @@ from numpy.typing import NDArray
 from h3data.errors import SceneError
 from h3data.scene import FreeSpace, Scene
 from h3data_crowds.imitation import imitation
+from h3data_crowds.learned import driver_of, reinforced
 from h3data_crowds.robots import ROBOTS, SKILLS
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.sensing.sensor import gps_compass
+from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
+from sim_kinematic.policies.learned import SHIPPED, is_learned, naming, network_of, stamped
+from sim_kinematic.policies.policy import FunctionPolicy
+from sim_kinematic.sensing.encodings import SPEED_MPS
+from sim_kinematic.sensing.sensor import gps_compass, in_base_frame, way
 from sim_kinematic.sensing.table import Sensor
 from sim_kinematic.tasks.control import Control, VelocityControl
 from sim_kinematic.tasks.episode import Episode, StepOutcome, TaskSpec, sample_starts
@@ -26,6 +32,32 @@ CANDIDATES = 400
 """Number of goals that are sampled for an episode; the first one that satisfies the rules is used."""
 FAR_M = 100.0
 """Largest distance in observations [m]; larger distances are clipped to it."""
+NEAREST, SEEN_M = 4, 5.0
+"""Number of people whom the sensor ``people`` measures, nearest first, and distance beyond which it measures nobody [m]."""
+
+
+def nearest_people(m: Any) -> Any:
+    """Return the `NEAREST` people within `SEEN_M`, five numbers each, [W, 5 n]; 0 for people who are not there.
+
+    The numbers are the direction of a person in the frame of the base (forward, left), their nearness
+    ``1 - distance / SEEN_M``, and their velocity over the ground along the same axes [m/s]. Walls hide nobody.
+
+    Args:
+        m: a `sim_kinematic.sensing.table.SensorContext`.
+    """
+    xp, own, slots = m.xp, m.now, []
+    for person, was in zip(m.world.state.people, m.world.before.people, strict=True):
+        gap = in_base_frame(own.xz, own.heading, person.xz, xp=xp)
+        moved = in_base_frame(was.xz, own.heading, person.xz, xp=xp) / STEP_S
+        far = xp.hypot(gap[:, 0], gap[:, 1])[:, None]
+        slot = xp.concatenate([gap / far.clip(1e-9, None), 1.0 - far / SEEN_M, moved.clip(-SPEED_MPS, SPEED_MPS)], -1)
+        slots.append(slot * (far < SEEN_M))
+    nobody = 0.0 * own.xz[:, :1]
+    slots += [xp.concatenate([nobody] * 5, -1)] * (NEAREST - len(slots))
+    found = xp.stack(slots, 1)
+    order = xp.argsort(-found[..., 2])[:, :NEAREST]
+    rows = xp.arange(len(order), device=order.device)[:, None]
+    return found[rows, order].reshape((len(order), -1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +108,45 @@ class CrowdNav(Task):
             "base",
             kinds=("robot",),
         ),
+        # length and initial angle of the shortest path to it
+        "goal_way": Sensor(
+            lambda m: way(m.now.xz, m.now.heading, *m.path(m.memory["goal"]), xp=m.xp),
+            [0.0, -np.pi],
+            [FAR_M, np.pi],
+            ("m", "rad"),
+            "base",
+            kinds=("robot",),
+        ),
+        "people": Sensor(
+            lambda m: nearest_people(m),
+            [-1.0, -1.0, 0.0, -SPEED_MPS, -SPEED_MPS] * NEAREST,
+            [1.0, 1.0, 1.0, SPEED_MPS, SPEED_MPS] * NEAREST,
+            ("", "", "", "m/s", "m/s") * NEAREST,
+            "base",
+            kinds=("robot",),
+        ),
     }
     control: ClassVar[Control] = VelocityControl({"robot": SKILLS})
-    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {**ROBOTS, "imitation": imitation}}
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "robot": {**ROBOTS, "imitation": imitation, "reinforced": reinforced}
+    }
     defaults: ClassVar[Mapping[str, str]] = {"robot": "dwa", "human": "orca"}
+
+    def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
+        """Return the maker of a robot with the weights in a file; None for other names."""
+        if kind != "robot" or not is_learned(name) or name in SHIPPED:
+            return None
+        network = network_of(name)
+        if spec is not None:
+            with naming(name):
+                driver_of(network, CrowdNav.name)  # raises if the network was trained for another task
+
+        def learned(episode: Episode, number: int) -> AssignedPolicy:
+            with naming(name):
+                driver = driver_of(network, CrowdNav.name, robot=episode.roster[number].model)
+            return AssignedPolicy(FunctionPolicy(driver, episode.bases[number]), stamped(name), kind)
+
+        return learned
 
     def sample(
         self, scene: Scene, free: FreeSpace, seed: int, spec: CrowdNavSpec, roster: tuple[AgentSpec, ...]

@@ -217,9 +217,10 @@ class Learner:
             "action": action,
             "mean": mean,
             "begins": m.over,
-            "far": m.shown["way"][:, 0] > s.near_m,
             "log_prob": (-0.5 * self._noise.square() - std.log()).sum(1),
         }
+        if s.near_m > 0:
+            row["far"] = m.shown["way"][:, 0] > s.near_m
         own = ~torch.zeros_like(m.over)
         if taught:
             row["taught"] = self.worlds.taught()
@@ -249,9 +250,11 @@ class Learner:
         gain = kept["gain"] + gamma * (value[1:] * going + value[:-1] * kept["timed_out"]) - value[:-1]
         for t in reversed(range(len(gain) - 1)):
             gain[t] += gamma * s.gae_lambda * going[t] * gain[t + 1]
-        target, valid, far = gain + value[:-1], kept["valid"].float(), kept["far"].float()
-        scaled = torch.zeros_like(gain)
-        for part in (far * valid, (1 - far) * valid) if s.near_m > 0 else (valid,):
+        target, valid = gain + value[:-1], kept["valid"].float()
+        scaled, parts = torch.zeros_like(gain), [valid]
+        if s.near_m > 0:
+            parts = [kept["far"] * valid, ~kept["far"] * valid]
+        for part in parts:
             count, total = self.ranks.sum(torch.stack([part.sum(), (gain * part).sum()]))
             count = count.clamp_min(1)
             middle = total / count

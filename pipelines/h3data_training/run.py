@@ -16,6 +16,8 @@ from h3data.errors import InputError
 from h3data.files import part_file
 from h3data.plugins import own_version
 from h3data_training import checkpoints
+from h3data_training.crowds.settings import CrowdSettings
+from h3data_training.crowds.worlds import ActionRepeatCrowd, make_crowd_bank
 from h3data_training.curve import EventLog, save_curve
 from h3data_training.episodes import make_bank
 from h3data_training.launch import StopRequest, launch
@@ -27,6 +29,7 @@ from h3data_training.settings import Settings
 from h3data_training.skills.episodes import make_skill_bank
 from h3data_training.skills.settings import SkillSettings
 from h3data_training.skills.worlds import ActionRepeatSkills
+from h3data_training.torch.crowd.bank import CrowdBank
 from h3data_training.torch.episodes import EpisodeBank
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.worlds import ActionRepeatEnv
@@ -34,7 +37,7 @@ from sim_kinematic.policies.network import RUN_POLICY
 from sim_kinematic.policies.networks.resnet_lstm import ResNetPolicy
 from sim_kinematic.policies.visual_policy import PolicyCard, VisualPolicy, save_policy
 
-Bank = EpisodeBank | SkillBank
+Bank = EpisodeBank | SkillBank | CrowdBank
 CHECKPOINT, POLICY = "checkpoint.pt", RUN_POLICY
 STARTS = "starts.npz"
 """Name of the file of a skill's episode starts, so that a continued run does not search for them again."""
@@ -141,6 +144,8 @@ class _Job:
             s = self.settings
             if isinstance(s, SkillSettings):
                 bank = make_skill_bank(s, seed=self.seed, file=self.folder / STARTS)
+            elif isinstance(s, CrowdSettings):
+                bank = make_crowd_bank(s, seed=self.seed)
             else:
                 bank = make_bank(s, seed=self.seed)
         say(f"{len(bank)} episodes in {len(bank.scenes)} homes after {time.time() - self.began:.0f} s")
@@ -168,11 +173,14 @@ def _work(job: _Job, stop: StopRequest, say: Say) -> RunResult:
 
 def worlds_of(
     settings: Settings, bank: Bank, *, device: str, compile: bool | None = None, count: int | None = None
-) -> ActionRepeatEnv | ActionRepeatSkills:
+) -> ActionRepeatEnv | ActionRepeatSkills | ActionRepeatCrowd:
     """Return the training worlds for some settings and the episodes of a bank."""
     if isinstance(settings, SkillSettings):
         assert isinstance(bank, SkillBank)
         return ActionRepeatSkills(settings, bank, device=device, compile=compile, count=count)
+    if isinstance(settings, CrowdSettings):
+        assert isinstance(bank, CrowdBank)
+        return ActionRepeatCrowd(settings, bank, device=device, compile=compile, count=count)
     assert isinstance(bank, EpisodeBank)
     return ActionRepeatEnv(settings, bank, device=device, compile=compile, count=count)
 

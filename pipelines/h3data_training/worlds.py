@@ -58,6 +58,15 @@ class ActionRepeat:
         self.counted = torch.ones(worlds, dtype=torch.bool, device=self.device)
         """Worlds that `totals` counts, bool [W]: not those in which a teacher acts."""
 
+    def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Start an episode in all worlds, each at the position in the bank that depends on its seed, without motion."""
+        with torch.no_grad():
+            self._begin(seed)
+            hold, self.hold = self.hold, 1
+            self._eager()
+            self.hold = hold
+        return self._result(), {}
+
     def repeat_action(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
         """Advance all worlds by a repeated action [W, A], and return new tensors as `Worlds.repeat_action` does."""
         with torch.no_grad():
@@ -80,6 +89,12 @@ class ActionRepeat:
         """Carry out an action of all worlds and show its result, in place."""
         raise NotImplementedError
 
+    def _show(self, shown: dict[str, Tensor]) -> None:
+        """Write observations in place, where a captured graph writes them in every replay."""
+        if not self._shown:
+            self._shown = {name: tensor.clone() for name, tensor in shown.items()}
+        overwrite((self._shown[name] for name in shown), shown.values())
+
     def _result(self) -> dict[str, Tensor]:
         """Return observations of the last step, in tensors of their own."""
         return {name: tensor.clone() for name, tensor in self._shown.items()}
@@ -91,6 +106,10 @@ class ActionRepeat:
         self.play.episode.copy_(places_in_bank(seed, self.num_envs, len(self.sim.bank)) - 1)
         self.play.ended.fill_(True)
         self._action.zero_()
+
+    def taught(self) -> Tensor:
+        """Return the actions of a teacher, which most tasks do not have."""
+        raise InputError(f"There is no teacher of {self.sim.task.name}. Hint: teacher=0.", code="H3-TRAIN-078")
 
     def _hold_action(self) -> None:
         """Make `hold` steps of all worlds, in place."""
@@ -249,7 +268,3 @@ class ActionRepeatEnv(ActionRepeat):
             "contact": total["contact"] / steps,
             "steps_per_episode": steps / ended,
         }
-
-    def taught(self) -> Tensor:
-        """Return None, because social navigation has no teacher."""
-        raise InputError("There is no teacher of social navigation. Hint: teacher=0.", code="H3-TRAIN-078")

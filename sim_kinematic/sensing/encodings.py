@@ -92,8 +92,14 @@ def _of_choices(sensor: Sensor) -> Encoding:
 OF_SOCIAL_NAV = (HUMANOID_GPS, DETECTOR, "humanoid_velocity", "egomotion", "way", "range_scan")
 """Names of the observations that networks of social navigation read."""
 OF_COMMANDS: Mapping[str, Encoding] = {
-    name: _of_commands(_FLAG if name == DETECTOR else TABLE[name])
-    for name in dict.fromkeys((*OF_SOCIAL_NAV, *OF_SKILLS))
+    **{
+        name: _of_commands(_FLAG if name == DETECTOR else TABLE[name])
+        for name in dict.fromkeys((*OF_SOCIAL_NAV, *OF_SKILLS))
+    },
+    # of crowd_nav (`h3data_crowds.crowd_nav`), whose people come as numbers from -2 to 2
+    "goal_gps": Encoding(_polar, 2, 6, dtype=np.float64),
+    "goal_way": Encoding(_polar, 2, 6, dtype=np.float64),
+    "people": Encoding(lambda xp, seen: seen, 20, 20),
 }
 """Encodings of the observations that networks of commands read together with a picture, by name."""
 OF_CHOICES: Mapping[str, Encoding] = {

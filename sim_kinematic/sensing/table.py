@@ -103,8 +103,11 @@ class Context(Protocol):
         """Return the height of the floor at the agent, [...] [m]."""
         ...
 
-    def path(self) -> tuple[Any, Any]:
-        """Return the shortest path to the goal: its length [...] [m] and a point near its start [..., 2] [m]."""
+    def path(self, points: Any = None) -> tuple[Any, Any]:
+        """Return the shortest path to points [..., 2] [m]: its length [...] [m] and a point near its start [..., 2] [m].
+
+        The default is the other agent, or the target of a skill.
+        """
         ...
 
     def clearance(self, points: Any) -> Any:
@@ -184,9 +187,9 @@ class SensorContext(NamedTuple):
     """True if the agent touches another agent, [W]."""
     arm: Array
     """Positions of the joints of the resting arm, [W, n] [rad or m]; empty [W, 0] for a person."""
-    path: Callable[[], tuple[Array, Array]]
-    """Function that returns the shortest path to the other agent: its length [W] [m] and its first waypoint [W, 2]
-    [m]."""
+    path: Callable[..., tuple[Array, Array]]
+    """Function that returns the shortest path to points [W, 2] (by default the other agent): its length [W] [m] and its
+    first waypoint [W, 2] [m]."""
     xp: Any = np
 
     @property

@@ -594,13 +594,16 @@ class MotionTeam(Team):
             for agent, kind in enumerate(kinds)
         ]
 
-    def _path(self, agent: int, other: int) -> tuple[Array, Array]:
-        """Return the shortest paths from an agent to another: their lengths [W] [m] and their first waypoints [W, 2] [m]."""
+    def _path(self, agent: int, other: int, points: Array | None = None) -> tuple[Array, Array]:
+        """Return the shortest paths from an agent to another, or to points [W, 2] [m].
+
+        They are lengths [W] [m] and first waypoints [W, 2] [m].
+        """
         world = self.play.world
-        lengths = world.geodesic(agent, other)
-        xz, to, begun = world.state.agents[agent].xz, world.state.agents[other].xz, world.bases[agent].disc_radius_m / 2
+        lengths = world.geodesic(agent, other) if points is None else self.play.path_length(agent, points)
+        xz, to = world.state.agents[agent].xz, world.state.agents[other].xz if points is None else points
         ends = zip(world.floors, xz, to, lengths.tolist(), strict=True)
-        return lengths, np.array([first_point(free, a, b, length, beyond_m=begun) for free, a, b, length in ends])
+        return lengths, np.array([first_point(*end, beyond_m=world.bases[agent].disc_radius_m / 2) for end in ends])
 
     def scenery(self, world: int) -> dict[str, Any]:
         """Return the scene as it was sampled, with people posed by their motion clips."""

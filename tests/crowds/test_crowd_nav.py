@@ -42,7 +42,7 @@ def in_hall(floor: FreeSpace, person: tuple[float, float, float], **rules: Any) 
     return replace(episode, starts=np.array([[3.0, 6.0, 0.0], person]), extra={"goal": [13.0, 6.0]})
 
 
-@pytest.mark.parametrize("name", [*sorted(ROBOTS), "imitation"])
+@pytest.mark.parametrize("name", [*sorted(ROBOTS), "imitation", "reinforced"])
 def test_baselines_get_to_the_goal_past_somebody_who_stands_beside_the_path(floor: FreeSpace, name: str):
     episode = in_hall(floor, (8.0, 8.0, 0.0))
     recording = simulate(CrowdNav(), episode, {"robot": name, "human": "still"})

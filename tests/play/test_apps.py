@@ -172,3 +172,14 @@ def test_an_app_of_ones_own_is_played_over_a_socket(own_app: tuple[subprocess.Po
     recording = read_mcap(tmp_path / "rec" / "000000.mcap")
     assert recording.episode.info["hitl"]["app"] == "my_app:Parade"
     assert verify(recording).difference is None
+
+
+def test_a_policy_of_robots_alone_drives_the_robot_among_people(tmp_path: Path):
+    game = table(tmp_path, app="crowd", scenes="small:0", partner="reinforced").begin(FIRST)
+    Player(game).play(20)
+    named = [(assigned.kind, assigned.name) for assigned in game.session.policies]
+    assert named[0] == ("robot", "reinforced")
+    assert {name for kind, name in named if kind == "human"} == {"external", "orca"}
+    game.close()
+    with pytest.raises(InputError, match="H3-POLICY"):
+        table(tmp_path, app="crowd", scenes="small:0", partner="mpcc")

@@ -125,9 +125,21 @@ class EpisodeFactory:
         self.source = EpisodeSource(self.task, plan.scenes, spec=self.spec, agents=self.roster, human=human)
         self.numbers = self._numbers()
         """Agent of each player, in the order of `PlayPlan.players`."""
+        self.partnered = self._partnered()
+        """Kinds of agents without a player that have the plan's policy; others have the task's default."""
+
+    def _partnered(self) -> list[str]:
+        plan, fits, faults = self.plan, [], []
         if plan.partner not in (None, "solo"):
-            for kind in {kind for k, kind in enumerate(self.roster) if k not in self.numbers}:
-                resolve_policy(self.task, kind, plan.partner_here or plan.partner, self.spec)
+            for kind in dict.fromkeys(kind for k, kind in enumerate(self.roster) if k not in self.numbers):
+                try:
+                    resolve_policy(self.task, kind, plan.partner_here or plan.partner, self.spec)
+                    fits.append(kind)
+                except InputError as fault:
+                    faults.append(fault)
+        if faults and not fits:
+            raise faults[0]
+        return fits
 
     def _numbers(self) -> tuple[int, ...]:
         numbers = []
@@ -236,14 +248,15 @@ class LiveGame:
         self.waited_for: dict[int, Any] = {}
         """Policies behind servers, by agent; the clock does not wait for them, and their commands are recorded like
         those of players."""
-        if plan.partner not in (None, "solo"):
-            for k in (k for k in range(len(episode.roster)) if k not in table.numbers):
-                assigned = make_policy(table.task, episode, k, table.partner_of(episode, k))
-                in_background = getattr(assigned.policy, "in_background", None)
-                if in_background is not None:
-                    self.waited_for[k] = in_background()
-                    assigned = assigned._replace(policy=External(interrupts_when_close=False))
-                policies[episode.roster[k].name] = assigned
+        for k, member in enumerate(episode.roster):
+            if k in table.numbers or member.kind not in table.partnered:
+                continue
+            assigned = make_policy(table.task, episode, k, table.partner_of(episode, k))
+            in_background = getattr(assigned.policy, "in_background", None)
+            if in_background is not None:
+                self.waited_for[k] = in_background()
+                assigned = assigned._replace(policy=External(interrupts_when_close=False))
+            policies[member.name] = assigned
         self._told_until = 0
         self._told: dict[int, dict[int, Any]] = {}
         """Recorded commands of policies behind servers by agent and step, while a game is played again."""

@@ -35,7 +35,9 @@ class Trainer:
     run: Callable[[Train], Outcome]
     """Function that trains with the options of the command."""
     has_people: bool = True
-    """True if there are people in the task's episodes."""
+    """True if there is a person in the task's episodes who walks by one of the sets of rules."""
+    has_crowds: bool = False
+    """True if there are several people in the task's episodes."""
     has_populations: bool = False
     """True if a robot is trained with a population of partners; False if one robot is trained by PPO on its
     observations.
@@ -52,6 +54,7 @@ TRAINERS: Registry[Trainer] = Registry("h3data.trainers", {}, what="task to trai
 POPULATIONS = OfTasks(lambda task: TRAINERS.get(task).has_populations)
 BY_PPO = OfTasks(lambda task: not TRAINERS.get(task).has_populations)
 WITH_PEOPLE = OfTasks(lambda task: TRAINERS.get(task).has_people)
+CROWDED = OfTasks(lambda task: TRAINERS.get(task).has_crowds)
 FOLLOWING = OfTasks(lambda task: TRAINERS.get(task).has_people and not TRAINERS.get(task).has_populations)
 RECIPES = TaskNotes(lambda task: TRAINERS.get(task).recipes)
 OBSERVATIONS = TaskNotes(lambda task: TRAINERS.get(task).observations)
@@ -60,7 +63,7 @@ WORLDS = TaskNotes(lambda task: TRAINERS.get(task).worlds)
 
 @dataclass(frozen=True)
 class Train:
-    """Train a policy and write its weights: social_nav from images, rearrange with a population of partners, or a skill.
+    """Train a policy and write its weights: social_nav from images, rearrange with a population, crowd_nav, or a skill.
 
     The weights can be used as a policy in every command: --policy weights:out/nav/policy.npz. The folder gets
     policy.npz, curve.parquet (the learning curve; also tensorboard/ if TensorBoard is installed) and checkpoint.pt,
@@ -80,6 +83,8 @@ class Train:
         h3data train rearrange --recipe paper --population learn_pop --worlds 20 --device cuda -o out/paper
         h3data train rearrange --population plan_pop_3 --ablate humanoid_gps -o out/no_gps
         h3data train rearrange --population learn_pop --workers 16 --updates 200 --resume -o out/learn_pop
+        h3data train crowd_nav -o out/crowd
+        h3data train crowd_nav --recipe fast --device cuda --people 6 --minutes 10 -o out/crowd
         h3data train skill nav -o out/skills/nav
         h3data train skill pick --minutes 20 -o out/skills/pick
         h3data train skill place --recipe fast --device cuda -o out/seeing/place
@@ -90,7 +95,8 @@ class Train:
 
     task: Annotated[tyro.conf.Positional[str], NameOf(TRAINERS.names)]
     """Task to learn with the paper's rewards: social_nav (find a walking person and follow them), rearrange (help a
-    person to bring two objects to their goals, by skills), or skill (one of these skills).
+    person to bring two objects to their goals, by skills), or skill (one of these skills). Also crowd_nav (drive to a
+    goal among people).
     """
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the run."""
@@ -110,7 +116,7 @@ class Train:
     """Seed of everything random."""
     minutes: float | None = None
     """Length of the run including set-up [minutes]; learning rate and horizon depend on it (default: 8.7, tiny 10,
-    rearrange 30, skills 10, with fast 6).
+    rearrange 30, skills 10, with fast 6, crowd_nav 10, with fast 6).
     """
     updates: int | None = None
     """Length of the run in updates instead of minutes, with which the same seed gives the same weights on a CPU."""
@@ -131,7 +137,9 @@ class Train:
     scenes: tuple[str, ...] = ()
     """Homes to train in, named as for h3data generate; several sets are allowed (default: h3-homes/train)."""
     episodes_per_home: int | None = None
-    """Number of training episodes in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8)."""
+    """Number of training episodes in each home (default: 28, tiny 8, rearrange 32, skills 3, with fast 8, crowd_nav 4,
+    with fast 24).
+    """
     episodes_per_update: Annotated[int | None, POPULATIONS] = None
     """Number of episodes that --workers play between two updates (default: 32); more episodes keep more workers busy.
     """
@@ -151,6 +159,8 @@ class Train:
     The policy's card records the size, and the policy observes it wherever it plays (default: 64x48, paper 224x171,
     tiny 32x24).
     """
+    people: Annotated[int | None, CROWDED] = None
+    """Number of people in each home, 0 to 12 (default: 4)."""
     worlds: Annotated[int | None, WORLDS] = None
     """Number of worlds that are stepped at once."""
     action_repeat: Annotated[int | None, BY_PPO] = None
@@ -251,8 +261,9 @@ class Train:
         return Outcome(text=_summary(result, settings.task), data=result.as_data(), result=result)
 
     def _settings(self) -> tuple[str, Settings]:
-        """Return the recipe's name and the settings of social navigation or a skill."""
+        """Return the recipe's name and the settings of social navigation, crowd navigation or a skill."""
         from h3data.replay.cameras import parse_size
+        from h3data_training.crowds.settings import crowd_recipe
         from h3data_training.settings import recipe
         from h3data_training.skills.settings import skill_recipe
 
@@ -272,6 +283,8 @@ class Train:
         name = self.recipe or "tiny"
         if self.task == "skill":
             settings: Settings = skill_recipe(name, self.skill, **changes)
+        elif TRAINERS.get(self.task).has_crowds:
+            settings = crowd_recipe(name, self.task, **changes, people=self.people)
         else:
             settings = recipe(name, **changes, walk=self.rules, follow_steps=self.follow_steps)
         if self.size is not None and not settings.pictured:
@@ -406,6 +419,14 @@ SKILLS = Trainer(
     observations="arm_depth, target_gps_compass, way, range_scan, egomotion, and of pick and place target_sensor, "
     "resting_sensor, arm_joints and is_holding (default: with fast arm_depth and what no map tells, else "
     "all but arm_depth).",
+)
+CROWDS = Trainer(
+    run=Train._train_by_ppo,
+    has_people=False,
+    has_crowds=True,
+    recipes="fast is for one GPU (4,096 worlds), tiny for a CPU (512 worlds, a smaller network; the default).",
+    observations="goal_gps, goal_way (from the map: length and direction of the shortest path to the goal), people (the four "
+    "nearest), range_scan, egomotion (default: all of them).",
 )
 HELPING = Trainer(
     run=Train._train_in_populations,

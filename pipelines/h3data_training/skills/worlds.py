@@ -5,7 +5,6 @@ An action is repeated for several steps, and pictures are rendered after the las
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -73,24 +72,12 @@ class ActionRepeatSkills(ActionRepeat):
 
         return CpuSkillCameras(self.sim, size=size)
 
-    def reset(self, *, seed: Sequence[int]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Start an episode in all worlds, each at the position in the bank that depends on its seed."""
-        with torch.no_grad():
-            self._begin(seed)
-            hold, self.hold = self.hold, 1
-            self._eager()
-            self.hold = hold
-        return self._result(), {}
-
     def _eager(self) -> None:
         self._hold_action()
         shown = self.sim.observations(self._names, self.play)
         if self._cameras is not None:
             shown["arm_depth"] = scaled_depth(self._cameras.observe(self.play)["depth"])[..., None]
-        if not self._shown:
-            self._shown = {name: tensor.clone() for name, tensor in shown.items()}
-        # a captured graph writes there in every replay
-        overwrite((self._shown[name] for name in shown), shown.values())
+        self._show(shown)
 
     def _step_held(self, k: int) -> None:
         self._move(k == self.hold - 1)

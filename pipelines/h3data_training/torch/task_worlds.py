@@ -430,8 +430,8 @@ class TaskTensors:
         """Return the context from which the robot's sensors compute observations."""
         world: Any = self.world(play)
 
-        def path() -> tuple[Tensor, Tensor]:
-            way = self.path_to_person(play)
+        def path(points: Tensor | None = None) -> tuple[Tensor, Tensor]:
+            way = self.path_to_person(play) if points is None else self.path_between(play, play.robot.xz, points)
             return way.length, play.robot.xz + way.towards
 
         # a robot alone has no sensors of others

@@ -99,6 +99,21 @@ class CrowdBank:
             extra=columns_of([episode.extra for episode in episodes]),
         )
 
+    @classmethod
+    def merged(cls, banks: Sequence[CrowdBank]) -> CrowdBank:
+        """Return the concatenated episodes of several banks with the same agents."""
+        first = np.cumsum([0, *(len(bank.floors) for bank in banks)])
+        columns = ("starts", "traits", "leg_counts", "seeds")
+        return cls(
+            roster=banks[0].roster,
+            floors=tuple(floor for bank in banks for floor in bank.floors),
+            scenes=tuple(scene for bank in banks for scene in bank.scenes),
+            place=np.concatenate([bank.place + n for bank, n in zip(banks, first[:-1], strict=True)]),
+            legs=tuple(leg for bank in banks for leg in bank.legs),
+            extra=columns_of([{name: rows[n] for name, rows in b.extra.items()} for b in banks for n in range(len(b))]),
+            **{name: np.concatenate([getattr(bank, name) for bank in banks]) for name in columns},
+        )
+
     def __len__(self) -> int:
         return len(self.place)
 

@@ -48,16 +48,18 @@ class CrowdWorlds(TaskTensors):
             return torch.as_tensor(np.asarray(values, np.float64), dtype=self.dtype, device=self.device)
 
         # each leg and the same in reverse
-        paths = [path for leg in bank.legs for path in (leg, leg[::-1])]
-        most = max(map(len, paths), default=2)
-        lengths = [np.append(0.0, np.cumsum(np.hypot(*np.diff(path, axis=0).T))) for path in paths]
-        rows = [np.pad(path, ((0, most - len(path)), (0, 0)), mode="edge") for path in paths]
-        filled = [np.pad(row, (0, most - len(row)), constant_values=np.inf) for row in lengths]
+        counts = np.array([len(leg) for leg in bank.legs], np.int64)
+        most, begins, last = max(counts, default=2), np.cumsum(counts) - counts, np.repeat(counts - 1, 2)
+        along = np.minimum(np.arange(most), counts[:, None] - 1)
+        which = np.stack([begins[:, None] + along, (begins + counts)[:, None] - 1 - along], 1).reshape(-1, most)
+        points = np.concatenate([*bank.legs, np.zeros((0, 2))])[which]
+        gaps = np.diff(points, axis=1, prepend=points[:, :1])
+        lengths = np.hypot(gaps[..., 0], gaps[..., 1]).cumsum(1)
         self._paths = Paths(
-            points=numbers(rows).reshape(-1, most, 2),
-            lengths=numbers(filled).reshape(-1, most),
-            last=torch.as_tensor([len(path) - 1 for path in paths], dtype=torch.int64, device=self.device),
-            total=numbers([row[-1] for row in lengths]),
+            points=numbers(points),
+            lengths=numbers(np.where(np.arange(most) > last[:, None], np.inf, lengths)),
+            last=torch.as_tensor(last, device=self.device),
+            total=numbers(lengths[:, -1]),
         )
         first = 2 * (np.cumsum(bank.leg_counts) - bank.leg_counts.ravel()).reshape(bank.leg_counts.shape)
         self._first_rows = torch.as_tensor(first, device=self.device)

@@ -1,0 +1,1 @@
+"""Training of a robot that drives to a goal among people."""
