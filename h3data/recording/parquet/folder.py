@@ -115,9 +115,10 @@ class DatasetFolder:
             return read_whole(path, lambda name: name.startswith("stats/") and not name.startswith(kept))
 
         try:
-            # several at once: they are small, and in an object store each takes a round trip
+            # several at once: they are small, and in an object store each takes a round trip; for one a thread costs more
             with ThreadPoolExecutor(4) as pool:
-                tables = [table.replace_schema_metadata(None) for table in pool.map(read, paths)]
+                read_all = pool.map if len(paths) > 1 else map
+                tables = [table.replace_schema_metadata(None) for table in read_all(read, paths)]
             table = pa.concat_tables(tables, promote_options="default") if tables else pa.table({"episode_index": []})
             table = conform(table, EPISODE_SCHEMA)
             if tables and (lacking := [name for name in EPISODE_SCHEMA.names if name not in table.column_names]):
