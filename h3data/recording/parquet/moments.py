@@ -38,8 +38,17 @@ class Moments:
 
     def to_lists(self) -> list[list[float]]:
         """Return all fields as lists for JSON, which `from_lists` reads."""
-        arrays = (self.count, self.mean, self.m2, self.low, self.high)
-        return [v.tolist() for v in (*arrays, *(() if self.quantiles is None else self.quantiles))]
+        return [
+            v.tolist()
+            for v in (
+                self.count,
+                self.mean,
+                self.m2,
+                self.low,
+                self.high,
+                *([] if self.quantiles is None else self.quantiles),
+            )
+        ]
 
     @classmethod
     def from_lists(cls, lists: Iterable[Iterable[float]]) -> Self:
@@ -123,9 +132,8 @@ def finite_stats(moments: Sequence[Moments]) -> dict[str, NDArray[np.float64]]:
 
     The quantiles are left out if they are unknown.
     """
-    values = [[m.low, m.high, m.mean, m.std, *(() if m.quantiles is None else m.quantiles)] for m in moments]
-    counted = np.array([m.count for m in moments])[:, None] > 0
-    finite = np.nan_to_num(np.where(counted, np.array(values), 0.0))
+    values = np.array([[m.low, m.high, m.mean, m.std, *(() if m.quantiles is None else m.quantiles)] for m in moments])
+    finite = np.nan_to_num(np.where(np.array([m.count for m in moments])[:, None] > 0, values, 0.0))
     return dict(zip(STATISTICS, finite.swapaxes(0, 1), strict=False))
 
 

@@ -90,7 +90,12 @@ class Shard:
         ``index`` and ``start`` are the numbers of the episode and of its first step in the whole dataset.
         """
         steps = len(recording)
-        arrays = {c.name: padded(recording.columns.get(c.name), c, steps) for c in self.schema.columns if c.width}
+        arrays = {
+            # as stored, with the same bits
+            c.name: padded(recording.columns.get(c.name), c, steps).view(stored_dtype(c))
+            for c in self.schema.columns
+            if c.width
+        }
         frame = np.arange(steps, dtype=np.int64)
         standard = {
             "timestamp": (frame / self.schema.fps).astype(np.float32),
@@ -100,18 +105,23 @@ class Shard:
             "task_index": np.full(steps, task, np.int64),
         }
         arrays |= {name: values[:, None] for name, values in standard.items()}
-        for c in self.schema.columns:
-            if c.width:  # the same bits
-                arrays[c.name] = arrays[c.name].view(stored_dtype(c))
         table = pa.Table.from_arrays([to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
         tables = {kind: _record_table(kind, records, index) for kind, records in sidecars.items() if records}
         # before anything is written: what numpy refuses must not spoil the file
         moments = {name: moments_of(a) for name, a in arrays.items()}
         chunk, file = divmod(self.number, FILES_PER_CHUNK)
-        place: dict[str, Any] = {"episode_index": index, "tasks": [instruction], "task_index": task, "length": steps}
-        place |= {"data/chunk_index": chunk, "data/file_index": file}
-        place |= {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": file}
-        place |= {"dataset_from_index": start, "dataset_to_index": start + steps}
+        place: dict[str, Any] = {
+            "episode_index": index,
+            "tasks": [instruction],
+            "task_index": task,
+            "length": steps,
+            "data/chunk_index": chunk,
+            "data/file_index": file,
+            "meta/episodes/chunk_index": chunk,
+            "meta/episodes/file_index": file,
+            "dataset_from_index": start,
+            "dataset_to_index": start + steps,
+        }
         self.spoiled = True  # from here on, all or nothing
         if steps:
             self._writer.write_table(table, row_group_size=steps)
@@ -211,13 +221,13 @@ class Shard:
         with self._open(kind) as stream:
             # of the few rows of some hundred statistics, what Parquet says about each column would take twice as much as they
             plain = [name for name in table.column_names if not name.startswith("stats/")]
-            options: dict[str, Any] = {"use_dictionary": plain, "write_statistics": plain}
-            options["store_schema"] = len(plain) == table.num_columns
+            whole = len(plain) == table.num_columns
+            options: dict[str, Any] = {"use_dictionary": plain, "write_statistics": plain, "store_schema": whole}
             with pq.ParquetWriter(
                 stream, table.schema, compression="zstd", write_page_checksum=True, **options
             ) as writer:
                 writer.write_table(table)
-                if len(plain) < table.num_columns:
+                if not whole:
                     writer.add_key_value_metadata(
                         {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
                     )
