@@ -90,7 +90,7 @@ def _ordered(
     histograms, from which these differ by at most one bin. Columns outside ``varied`` have one value.
     """
     # values that occur, and no interpolation: a quantile of a flag is 0 or 1
-    found = np.tile((x[0] if len(x) else np.zeros(x.shape[1])).astype(np.float64), (len(QUANTILES) + 2, 1))
+    found = np.full((len(QUANTILES) + 2, x.shape[1]), x[0] if len(x) else 0.0, np.float64)
     if len(x) and len(varied):
         # sorting takes more time than all other statistics together
         shares = np.array([0.0, *QUANTILES.values(), 1.0])
