@@ -17,7 +17,6 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import combinations
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -299,12 +298,15 @@ class World:
         rows = slice(None) if every else np.concatenate([(k - robots) * self.worlds + self.rows for k in posed])
         own = self.people if every else self.people.take(rows)
         # the arrays of one person need no copy
-        join = itemgetter(0) if len(posed) == 1 else np.concatenate
-        points, headings, seats = (join([command[part] for command in posed.values()]) for part in range(3))
+        alone, given = len(posed) == 1, tuple(posed.values())
+        points, headings, seats = given[0] if alone else (np.concatenate(part) for part in zip(*given, strict=True))
         move_people(own, points, headings, self.walker)
         own.seat[:] = seats
         if not every:
             self.people.put(rows, own)
+        if alone and every and len(self.groups) == 1:
+            draw_arms(own, self.floors[0], self.roster[robots].body, self.walker.arms)  # type: ignore[arg-type]
+            return
         if tuple(posed) not in self._arms:
             # people with one body on one map draw in their arms together
             alike: dict[tuple[int, int], list[int]] = {}
@@ -403,7 +405,7 @@ class World:
         # people of crowds are many, so they are looked at together first
         sound = not posed or (
             all(isinstance(p, np.ndarray) and p.shape == (self.worlds, 2) and p.dtype == np.float64 for p in posed)
-            and first_not_finite(np.concatenate(posed)) < 0
+            and first_not_finite(posed[0] if len(posed) == 1 else np.concatenate(posed)) < 0
         )
         for member, command, width in zip(self.roster, commands, self.widths, strict=True):
             assert command is not None, "agents with skills move themselves"

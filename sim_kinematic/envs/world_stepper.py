@@ -254,7 +254,7 @@ class WorldStepper:
         runs = [(int(seeds[w]), int(indices[w])) for w in rows.tolist()]
         # all episodes are sampled before any world begins, so an error leaves the worlds as they are
         self.source.prepare(runs)
-        with progress(desc="episodes", total=len(runs), unit="episode", delay=1.0, leave=False) as bar:
+        with progress(desc="episodes", total=len(runs), unit="episode", delay=1.0, leave=False, at_least=2) as bar:
             episodes = []
             for run in runs:
                 episodes.append(self.source.sample(*run))
@@ -429,8 +429,8 @@ class WorldStepper:
         """
         play = self.play
         if not self.task.control.has_skills:
-            known = {"success": lambda play: play.outcome.success, **self.task.usage.env_info}
-            return {name: np.array(of(play)) for name, of in known.items()}
+            known = self.task.usage.env_info.items()
+            return {"success": np.array(play.outcome.success), **{name: np.array(of(play)) for name, of in known}}
         number, told = self.numbers[agent], []
         for w, (turns, play) in enumerate(zip(self.turns, self.plays, strict=True)):
             facts = {"steps": turns.steps, "step": play.step, **play.team.info(number)}

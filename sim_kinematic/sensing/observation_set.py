@@ -74,8 +74,9 @@ class ObservationSet:
             n: (np.asarray(one.low, np.float64), np.asarray(one.high, np.float64)) for n, one in self.limits.items()
         }
         self._noise = {name: model for name, model in (noise or {}).items() if name in self.names}
-        self._plain = [n for n in self.states if n not in self._noise and self.limits[n].dtype == np.float32]
-        """Names of the observations that are only clipped, which is done for all of them at once."""
+        plain = [n for n in self.states if n not in self._noise and self.limits[n].dtype == np.float32]
+        self._plain = plain if len(plain) > 3 else []
+        """Names of the observations that are only clipped, which is done for all of them at once unless they are few."""
         self._ends = np.cumsum([0, *(self._bounds[n][0].size for n in self._plain)]).tolist()
         sides = zip(*(self._bounds[n] for n in self._plain), strict=True)
         self._low, self._high = (

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, overload
 
@@ -20,7 +20,7 @@ from h3data.recording.parquet.files import FILES_PER_CHUNK, is_dataset, shard_fi
 from h3data.recording.parquet.records import DAMAGE, DatasetRecords, read_whole
 from h3data.recording.parquet.schema import EPISODE_SCHEMA, DatasetSchema
 from h3data.recording.schema import check_version
-from h3data.recording.storage import AnyPath, RemotePath, place, readable
+from h3data.recording.storage import RemotePath, place, readable
 
 _BLOCK, _BLOCKS_KEPT = 64, 256
 
@@ -111,13 +111,12 @@ class DatasetFolder:
         paths = shard_files(self.root, "meta/episodes")
         kept = tuple(f"stats/{video.key}/" for video in self.schema.videos)
 
-        def read(path: AnyPath) -> pa.Table:
-            return read_whole(path, lambda name: name.startswith("stats/") and not name.startswith(kept))
-
+        read = partial(read_whole, leave_out=lambda name: name.startswith("stats/") and not name.startswith(kept))
         try:
-            # several at once: they are small, and in an object store each takes a round trip
+            # several at once: they are small, and in an object store each takes a round trip; for one a thread costs more
             with ThreadPoolExecutor(4) as pool:
-                tables = [table.replace_schema_metadata(None) for table in pool.map(read, paths)]
+                read_all = pool.map if len(paths) > 1 else map
+                tables = [table.replace_schema_metadata(None) for table in read_all(read, paths)]
             table = pa.concat_tables(tables, promote_options="default") if tables else pa.table({"episode_index": []})
             table = conform(table, EPISODE_SCHEMA)
             if tables and (lacking := [name for name in EPISODE_SCHEMA.names if name not in table.column_names]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -38,8 +38,17 @@ class Moments:
 
     def to_lists(self) -> list[list[float]]:
         """Return all fields as lists for JSON, which `from_lists` reads."""
-        arrays = (self.count, self.mean, self.m2, self.low, self.high)
-        return [v.tolist() for v in (*arrays, *(() if self.quantiles is None else self.quantiles))]
+        return [
+            v.tolist()
+            for v in (
+                self.count,
+                self.mean,
+                self.m2,
+                self.low,
+                self.high,
+                *([] if self.quantiles is None else self.quantiles),
+            )
+        ]
 
     @classmethod
     def from_lists(cls, lists: Iterable[Iterable[float]]) -> Self:
@@ -51,45 +60,45 @@ class Moments:
 def moments_of(values: NDArray[Any]) -> Moments:
     """Return moments of rows [T, width]; NaN and infinities do not count."""
     x = values if values.dtype.kind == "f" and values.dtype != np.float16 else values.astype(np.float64)
+    rows, width = x.shape
     with np.errstate(all="ignore"):
-        finite = np.isfinite(x)
-        # the usual case, without masks and the copies that they make
-        if len(x) and finite.all():
-            mean = x.mean(0, dtype=np.float64)
+        mean = x.sum(0, dtype=np.float64) / max(rows, 1)
+        # what is not finite passes into the sum, so that a pass over all values is saved
+        if rows and np.isfinite(mean).all():
             # two passes: sums of squares would lose what a position far from the origin varies by
             deviation = x - mean
             m2 = np.einsum("ij,ij->j", deviation, deviation)
-            count = np.full(x.shape[1], float(len(x)))
-            low, high = x.min(0) * 1.0, x.max(0) * 1.0
-            return Moments(count, mean, m2, low, high, _quantiles(x, count, low, high))
+            count = np.full(width, float(rows))
+            # most components of a recording never change, and of float32 the mean of equal values is exact
+            varied = np.flatnonzero(m2 if x.dtype == np.float32 else deviation.any(0))
+            return Moments(count, mean, m2, *_ordered(x, count, varied))
+        finite = np.isfinite(x)
         count = finite.sum(0).astype(np.float64)
         mean = np.where(finite, x, 0).sum(0, dtype=np.float64) / np.maximum(count, 1)
         m2 = (np.where(finite, x - mean, 0) ** 2).sum(0, dtype=np.float64)
-        low, high = (
-            np.asarray(f(np.where(finite, x, fill), axis=0, initial=fill), np.float64)
-            for f, fill in ((np.min, np.inf), (np.max, -np.inf))
-        )
-        return Moments(count, mean, m2, low, high, _quantiles(np.where(finite, x, np.nan), count, low, high))
+        ordered = _ordered(np.where(finite, x, np.nan), count, np.arange(width))
+        filled = [np.where(count > 0, v, none) for v, none in zip(ordered, (np.inf, -np.inf, 0.0), strict=True)]
+        return Moments(count, mean, m2, *filled)
 
 
-def _quantiles(
-    x: NDArray[np.floating], count: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the quantiles [5, width] of rows [T, width], NaN left out; 0 in columns without finite values.
+def _ordered(
+    x: NDArray[np.floating], count: NDArray[np.float64], varied: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return minimum and maximum [width] and the quantiles [5, width] of rows [T, width], NaN left out.
 
-    Each is the smallest value that the quantile's share of the values does not exceed. LeRobot computes them from
-    histograms, from which these differ by at most one bin. ``count``, ``low`` and ``high`` are those of `Moments`.
+    Each quantile is the smallest value that its share of the values does not exceed. LeRobot computes them from
+    histograms, from which these differ by at most one bin. Columns outside ``varied`` have one value.
     """
     # values that occur, and no interpolation: a quantile of a flag is 0 or 1
-    quantiles = np.tile(np.where(count > 0, low, 0.0).astype(np.float64), (len(QUANTILES), 1))
-    # most components of a recording never change, and sorting takes more time than all other statistics together
-    varied = np.flatnonzero(low < high)
-    if len(varied):
-        rank = np.maximum(np.ceil(np.array(list(QUANTILES.values())) * count[varied, None]) - 1, 0).astype(np.intp)
+    found = np.full((len(QUANTILES) + 2, x.shape[1]), x[0] if len(x) else 0.0, np.float64)
+    if len(x) and len(varied):
+        # sorting takes more time than all other statistics together
+        shares = np.array([0.0, *QUANTILES.values(), 1.0])
+        rank = np.maximum(np.ceil(shares * count[varied, None]) - 1, 0).astype(np.intp)
         ordered = x.T[varied]
         ordered.sort(axis=1)  # NaN come last
-        quantiles[:, varied] = ordered[np.arange(len(varied))[:, None], rank].T
-    return quantiles
+        found[:, varied] = ordered[np.arange(len(varied))[:, None], rank].T
+    return found[0], found[-1], found[1:-1]
 
 
 def merged(a: Moments, b: Moments) -> Moments:
@@ -118,17 +127,20 @@ def merge_into(total: dict[str, Moments], more: Mapping[str, Moments]) -> None:
         total[name] = merged(total[name], moments) if name in total else moments
 
 
-def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, list[Any]]:
-    """Return min, max, mean, std, count and quantiles as LeRobot stores them.
+def finite_stats(moments: Sequence[Moments]) -> dict[str, NDArray[np.float64]]:
+    """Return the `STATISTICS` of a feature in each of some episodes as arrays [E, width], 0 where no value is finite.
 
-    The values are 0 for components without finite values.
+    The quantiles are left out if they are unknown.
     """
-    named = {"min": m.low, "max": m.high, "mean": m.mean, "std": m.std}
-    if m.quantiles is not None:
-        named |= dict(zip(QUANTILES, m.quantiles, strict=True))
-    # all at once: writers call this for each feature of each episode
-    values = np.nan_to_num(np.where(m.count > 0, np.stack(list(named.values())), 0.0))
-    return {**{name: row.reshape(shape).tolist() for name, row in zip(named, values, strict=True)}, "count": [frames]}
+    values = np.array([[m.low, m.high, m.mean, m.std, *(() if m.quantiles is None else m.quantiles)] for m in moments])
+    finite = np.nan_to_num(np.where(np.array([m.count for m in moments])[:, None] > 0, values, 0.0))
+    return dict(zip(STATISTICS, finite.swapaxes(0, 1), strict=False))
+
+
+def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, list[Any]]:
+    """Return min, max, mean, std, count and quantiles of one sample as LeRobot stores them, each in the given shape."""
+    found = finite_stats([m])
+    return {**{name: rows.reshape(shape).tolist() for name, rows in found.items()}, "count": [frames]}
 
 
 def pack_moments(moments: Mapping[str, Moments]) -> str:

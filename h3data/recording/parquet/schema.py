@@ -100,15 +100,20 @@ class DatasetSchema:
 
     def to_json(self) -> bytes:
         """Return contents of ``h3/schema.json``."""
-        columns = [{"name": c.name, "dtype": c.dtype, "shape": list(c.shape)} for c in self.columns]
-        values: dict[str, Any] = {"schema_version": self.version, "layout_hash": layout_hash(self.columns)}
-        values |= {"fps": self.fps, "robot_type": self.robot_type, "conventions": CONVENTIONS, "columns": columns}
-        if self.videos:
-            values["videos"] = [asdict(video) for video in self.videos]
-        if self.names:
-            values["names"] = dict(self.names)
-        if self.episode_stats:
-            values["episode_stats"] = True
+        values: dict[str, Any] = {
+            "schema_version": self.version,
+            "layout_hash": layout_hash(self.columns),
+            "fps": self.fps,
+            "robot_type": self.robot_type,
+            "conventions": CONVENTIONS,
+            "columns": [{"name": c.name, "dtype": c.dtype, "shape": list(c.shape)} for c in self.columns],
+        }
+        more = {
+            "videos": [asdict(video) for video in self.videos],
+            "names": dict(self.names),
+            "episode_stats": self.episode_stats,
+        }
+        values |= {name: value for name, value in more.items() if value}
         return json.dumps(values, indent=1, ensure_ascii=False).encode()
 
     @classmethod
@@ -124,19 +129,14 @@ class DatasetSchema:
             check_version(values["schema_version"], path=path)
             # through the same reader as logs, so that damaged columns are refused by the same rules
             text = json.dumps([[c["name"], c["dtype"], c["shape"]] for c in values["columns"]], ensure_ascii=False)
-            fps, robot, version = int(values["fps"]), str(values["robot_type"]), values["schema_version"]
-            videos = tuple(VideoFeature(**video) for video in values.get("videos", ()))
-            columns = layout_from_json(text)
-            names = {str(name): tuple(map(str, each)) for name, each in dict(values.get("names", {})).items()}
-            stats = values.get("episode_stats") is True
             return cls(
-                columns=columns,
-                fps=fps,
-                robot_type=robot,
-                version=version,
-                videos=videos,
-                names=names,
-                episode_stats=stats,
+                columns=layout_from_json(text),
+                fps=int(values["fps"]),
+                robot_type=str(values["robot_type"]),
+                version=values["schema_version"],
+                videos=tuple(VideoFeature(**video) for video in values.get("videos", ())),
+                names={str(name): tuple(map(str, each)) for name, each in dict(values.get("names", {})).items()},
+                episode_stats=values.get("episode_stats") is True,
             )
         except FileNotFoundError:
             raise FormatError(

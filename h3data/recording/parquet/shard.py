@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from h3data.errors import InputError
 from h3data.recording.parquet.columns import padded, to_arrow
 from h3data.recording.parquet.files import FILES_PER_CHUNK, shard_path
-from h3data.recording.parquet.moments import Moments, lerobot_stats, merge_into, moments_of, pack_moments
+from h3data.recording.parquet.moments import Moments, finite_stats, lerobot_stats, merge_into, moments_of, pack_moments
 from h3data.recording.parquet.schema import (
     SIDECARS,
     STANDARD,
@@ -29,7 +29,7 @@ from h3data.recording.parquet.videos import EpisodeVideo, VideoAppender
 from h3data.recording.records import Recording
 from h3data.recording.schema import Column
 
-ZSTD_LEVEL, PAGE_BYTES = 6, 8 << 20
+ZSTD_LEVEL, FAST_LEVEL, PAGE_BYTES = 6, 2, 8 << 20
 
 
 class Shard:
@@ -45,6 +45,8 @@ class Shard:
         self.rows: list[dict[str, Any]] = []
         """Rows of the episode table."""
         self.sidecars: dict[str, list[pa.Table]] = {kind: [] for kind in SIDECARS}
+        self.stats: list[dict[str, Moments]] = []
+        """Moments of each episode with steps, if the episode table has statistics of features."""
         self.moments: dict[str, Moments] = {}
         self.parts: list[tuple[Path, Path]] = []
         """Temporary and final name of each file."""
@@ -88,7 +90,12 @@ class Shard:
         ``index`` and ``start`` are the numbers of the episode and of its first step in the whole dataset.
         """
         steps = len(recording)
-        arrays = {c.name: padded(recording.columns.get(c.name), c, steps) for c in self.schema.columns if c.width}
+        arrays = {
+            # as stored, with the same bits
+            c.name: padded(recording.columns.get(c.name), c, steps).view(stored_dtype(c))
+            for c in self.schema.columns
+            if c.width
+        }
         frame = np.arange(steps, dtype=np.int64)
         standard = {
             "timestamp": (frame / self.schema.fps).astype(np.float32),
@@ -98,25 +105,28 @@ class Shard:
             "task_index": np.full(steps, task, np.int64),
         }
         arrays |= {name: values[:, None] for name, values in standard.items()}
-        for c in self.schema.columns:
-            if c.width:  # the same bits
-                arrays[c.name] = arrays[c.name].view(stored_dtype(c))
         table = pa.Table.from_arrays([to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
         tables = {kind: _record_table(kind, records, index) for kind, records in sidecars.items() if records}
         # before anything is written: what numpy refuses must not spoil the file
         moments = {name: moments_of(a) for name, a in arrays.items()}
         chunk, file = divmod(self.number, FILES_PER_CHUNK)
-        place: dict[str, Any] = {"episode_index": index, "tasks": [instruction], "task_index": task, "length": steps}
-        place |= {"data/chunk_index": chunk, "data/file_index": file}
-        place |= {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": file}
-        place |= {"dataset_from_index": start, "dataset_to_index": start + steps}
+        place: dict[str, Any] = {
+            "episode_index": index,
+            "tasks": [instruction],
+            "task_index": task,
+            "length": steps,
+            "data/chunk_index": chunk,
+            "data/file_index": file,
+            "meta/episodes/chunk_index": chunk,
+            "meta/episodes/file_index": file,
+            "dataset_from_index": start,
+            "dataset_to_index": start + steps,
+        }
         self.spoiled = True  # from here on, all or nothing
         if steps:
             self._writer.write_table(table, row_group_size=steps)
             merge_into(self.moments, moments)
-            if self.schema.episode_stats:
-                for name, m in moments.items():
-                    place |= _episode_stats(name, m, steps, (-1,))
+            self.stats += [moments] * self.schema.episode_stats
             for key, video in videos.items():
                 place |= self._add_video(key, video)
         # an episode without steps has a row but no row group
@@ -140,8 +150,11 @@ class Shard:
         metadata = {"h3data.schema_version": self.schema.version, "h3data.moments": pack_moments(self.moments)}
         # in the metadata of the table, because what is not committed with the episodes could differ from them
         columns = episode_schema(self.schema).with_metadata(metadata)
+        table = dict(self._stats(columns))
         rows = [{**self._no_video, **row} for row in self.rows]
-        self._write("meta/episodes", pa.Table.from_pylist(rows, schema=columns))
+        facts = pa.Table.from_pylist(rows, schema=pa.schema([field for field in columns if field.name not in table]))
+        table |= dict(zip(facts.column_names, facts.columns, strict=True))
+        self._write("meta/episodes", pa.Table.from_arrays([table[name] for name in columns.names], schema=columns))
         for part, final in self.parts:  # the episode table is the last: its name is the commit
             os.replace(part, final)
 
@@ -156,6 +169,19 @@ class Shard:
         for part, _ in self.parts:
             part.unlink(missing_ok=True)
 
+    def _stats(self, columns: pa.Schema) -> Iterator[tuple[str, pa.Array]]:
+        """Yield LeRobot's statistics of each feature as columns of the episode table, null for episodes without steps."""
+        lengths = np.array([row["length"] for row in self.rows])
+        ends, empty = np.cumsum([0, *(lengths > 0)]), pa.array((lengths == 0).tolist())
+        # all episodes at once: of single values there are some thousand in each
+        for name in self._arrow.names if self.stats else ():
+            found = {**finite_stats([moments[name] for moments in self.stats]), "count": lengths[lengths > 0, None]}
+            for statistic, values in found.items():
+                field, width = f"stats/{name}/{statistic}", values.shape[1]
+                stored = values.astype(columns.field(field).type.value_type.to_pandas_dtype()).reshape(-1, 1)
+                starts = to_arrow((ends * width).astype(np.int32)[:, None])
+                yield field, pa.ListArray.from_arrays(starts, to_arrow(stored), mask=empty)
+
     def _add_video(self, key: str, video: EpisodeVideo) -> dict[str, Any]:
         """Append an episode's video; return its place and statistics as columns of the episode table."""
         if key not in self.videos:
@@ -165,7 +191,8 @@ class Shard:
         place = _video_place(key, self.number, start / fps, (start + video.length) / fps)
         self.videos[key].add(video)
         merge_into(self.moments, {key: video.moments})
-        return place | _episode_stats(key, video.moments, video.length, (3, 1, 1))
+        stats = lerobot_stats(video.moments, video.length, (3, 1, 1))
+        return place | {f"stats/{key}/{name}": values for name, values in stats.items()}
 
     @property
     def _no_video(self) -> dict[str, Any]:
@@ -194,39 +221,42 @@ class Shard:
         with self._open(kind) as stream:
             # of the few rows of some hundred statistics, what Parquet says about each column would take twice as much as they
             plain = [name for name in table.column_names if not name.startswith("stats/")]
-            options: dict[str, Any] = {"use_dictionary": plain, "write_statistics": plain}
-            options["store_schema"] = len(plain) == table.num_columns
+            whole = len(plain) == table.num_columns
+            options: dict[str, Any] = {"use_dictionary": plain, "write_statistics": plain, "store_schema": whole}
             with pq.ParquetWriter(
                 stream, table.schema, compression="zstd", write_page_checksum=True, **options
             ) as writer:
                 writer.write_table(table)
-                if len(plain) < table.num_columns:
+                if not whole:
                     writer.add_key_value_metadata(
                         {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
                     )
             _sync(stream)
 
     def _parquet_options(self) -> dict[str, Any]:
-        """Return the options of Parquet files: zstd-6, no dictionaries, BYTE_STREAM_SPLIT on floats.
+        """Return the options of Parquet files: zstd, no dictionaries, BYTE_STREAM_SPLIT on floats.
 
-        Files take 424 B/step instead of 733 with pyarrow's defaults. Poses and actions stay PLAIN because they have
+        Files take 436 B/step instead of 733 with pyarrow's defaults. Poses and actions stay PLAIN because they have
         long runs of equal rows: a base pose takes 13.4 B/step instead of 14.9 split, 20 objects 7.5 instead of 9.9;
-        joint rotations take 790 plain, 699 split. Pages are as large as an episode's column, so that each of the four
+        joint rotations take 790 plain, 700 split. Pages are as large as an episode's column, so that each of the four
         byte streams is compressed in one piece: a looping clip takes 15 B/step instead of 30 with pages of 1 MiB.
+        The widest columns are compressed at level 2, because level 6 takes twice the time for 0.9 % less. So are actions,
+        which level 6 does not make smaller.
         """
-        encodings = {}
+        encodings, levels = {}, {}
         standard = [Column(name, dtype, ()) for name, dtype in STANDARD.items()]
         for c in (*standard, *self.schema.columns):
             path = c.name if c.width == 1 else f"{c.name}.list.element"
+            levels[path] = FAST_LEVEL if c.name.endswith(("object_pose", ".action")) else ZSTD_LEVEL
             if c.name.endswith(("_pose", ".action")):
                 encodings[path] = "PLAIN"
             elif c.dtype in ("float32", "float64"):
-                encodings[path] = "BYTE_STREAM_SPLIT"
+                encodings[path], levels[path] = "BYTE_STREAM_SPLIT", FAST_LEVEL
             elif stored_dtype(c) in ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32"):
                 encodings[path] = "DELTA_BINARY_PACKED"
         return {
             "compression": "zstd",
-            "compression_level": ZSTD_LEVEL,
+            "compression_level": levels,
             "data_page_size": PAGE_BYTES,
             "use_dictionary": False,
             "column_encoding": encodings,
@@ -246,14 +276,6 @@ def _video_place(key: str, number: int, start_s: float, end_s: float) -> dict[st
     chunk, file = divmod(number, FILES_PER_CHUNK)
     place = {"chunk_index": chunk, "file_index": file, "from_timestamp": start_s, "to_timestamp": end_s}
     return {f"videos/{key}/{name}": value for name, value in place.items()}
-
-
-def _episode_stats(key: str, moments: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, Any]:
-    """Return LeRobot's statistics of a feature in one episode as columns of the episode table.
-
-    Each column has the given shape, or [1].
-    """
-    return {f"stats/{key}/{name}": values for name, values in lerobot_stats(moments, frames, shape).items()}
 
 
 def _sync(stream: IO[bytes]) -> None:
