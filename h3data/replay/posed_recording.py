@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -247,6 +248,10 @@ class PosedRecording:
             with names_from_data():
                 return load_robot(name)
         if kind == "humanoid":
+            # without a clip that is not in the recording, the person stands
+            for lost in re.findall(r"\+\w+=(motion):(\w+)", name):
+                if (file := "_".join(lost) + ".npz") not in self.recording.attachments:
+                    name, self.missing[file] = re.sub(rf"\+\w+={':'.join(lost)}", "", name), 1
             return load_humanoid(name)
         raise FormatError(
             f"Agent {self.recording.agents[agent].name!r} has the model {self.recording.agents[agent].model!r}; "
@@ -355,6 +360,11 @@ class PosedRecording:
             add_gestures(body, quats, pelvis, gestures[steps])
         if prefix + "motion_hands" in columns:
             lead_hands(body, quats, pelvis, columns[prefix + "motion_hands"][steps])
+        for event in self.recording.events if body.acts else ():
+            act = body.acts.get(event.target.removeprefix(f"{self.recording.agents[agent].name}_"))
+            if event.agent == agent and event.kind == PERFORMS and act is not None:
+                times = columns["time_ns"][steps] - columns["time_ns"][event.step]
+                act.perform(quats, pelvis, times.astype(np.float64) * 1e-9, int(event.detail))
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 
     @cached_property
@@ -463,6 +473,8 @@ def _matrix(body: Body) -> Array:
 
 BEGINS, ENDS = "activity", ("activity", "walks_to", "gets_up")
 """Kinds of the events that start and end a gesture; the target of the first is the name of the activity."""
+PERFORMS = "performs"
+"""Kind of the event with which a person begins a captured motion; the detail is the number of its repetitions."""
 RAMP_S = 0.8
 """Time in which the hands move into the gesture at its start, and back before its end [s]."""
 
