@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 
 import h3data
+from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, write_mcap
 from h3data.render.image_files import write_png
 from h3data.replay import Replay, camera_track
+from h3data.scene.open import named_scenes, open_free_space
 from sim_kinematic.tasks.resume import verify
 
 SCENE, FPS, SECONDS = "medium2:1", 30, 4.0
@@ -107,13 +109,18 @@ def main(out: str) -> None:
     write_mcap(recording, folder / "episode.mcap", overwrite=True)
     print("verified" if verify(recording).difference is None else "differs")
     begin = next(event.step for event in recording.events if event.kind == "performs")
-    x, y, z = recording.columns["agent_1.base_pose"][begin, :3].tolist()
+    x, y, z, *turn = recording.columns["agent_1.base_pose"][begin].astype(float).tolist()
+    # from where there is most room between camera and person
+    free = open_free_space(named_scenes(SCENE)[0].source, 0.25, 1.41)
+    ahead = heading_from_quat(np.array(turn)) + np.linspace(-1.2, 1.2, 13)
+    line = np.linspace(0.4, 2.4, 11)[:, None, None] * np.stack([np.cos(ahead), -np.sin(ahead)], 1) + (x, z)
+    ex, ez = line[-1, int(np.argmax(free.signed_distance(line.reshape(-1, 2)).reshape(11, 13).min(0)))].tolist()
     (folder / "camera.toml").write_text(
-        f"eye = [{x + 1.6:.2f}, {y + 1.7:.2f}, {z + 1.6:.2f}]\ntarget = [{x:.2f}, {y + 0.8:.2f}, {z:.2f}]\nhfov_deg = 65\n"
+        f"eye = [{ex:.2f}, {y + 1.5:.2f}, {ez:.2f}]\ntarget = [{x:.2f}, {y + 0.85:.2f}, {z:.2f}]\nhfov_deg = 60\n"
     )
     replay = Replay(recording)
     track = camera_track(replay, str(folder / "camera.toml")).resized(320, 320)
-    steps = [begin + k for k in (0, 5, 10, 15, 25, 35, 45, 60, 75, 90, 105, 112)]
+    steps = [begin + k for k in (0, 4, 8, 12, 17, 22, 27, 32, 98, 106, 112, 118)]
     frames = [outputs["rgb"] for _, (outputs,) in replay.frames([track], steps, samples=4)]
     write_png(folder / "dance.png", np.vstack([np.hstack(frames[k : k + 6]) for k in (0, 6)]))
 

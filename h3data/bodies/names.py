@@ -1,8 +1,9 @@
 """Names of bodies of people, and the gaits from motion files that this process has registered.
 
 A person who walks as in a motion file is named by a body, a plus sign, and the file, as in ``female_0+walk.npz``.
-One who can play a motion file as an activity also has its name, as in ``female_0+dance=dance.bvh``. Recordings name the motion by ``motion:`` and 16 hex digits of the SHA-256 of its file, which is an attachment of the
-recording. `h3data.walks` describes the contents of such files.
+One who plays motion files as activities also has their names, as in ``female_0+dance=dance.bvh``. Recordings name the
+motion by ``motion:`` and 16 hex digits of the SHA-256 of its file, which is an attachment of the recording.
+`h3data.walks` describes the contents of such files.
 """
 
 from __future__ import annotations
@@ -104,16 +105,6 @@ def walk_facts(models: Iterable[str]) -> dict[str, Any]:
     }
 
 
-def walk_file(path: str) -> bytes:
-    """Return the contents of the gait file for the walk in a motion file.
-
-    Raises:
-        InputError: there is no such file, or nobody walks in it.
-        FormatError: the file is not a motion file.
-    """
-    return _reader("motion").walk_file(path)
-
-
 @cache
 def _reader(kind: str) -> Any:
     readers: Registry[Any] = Registry("h3data.walks", {}, what="reader of motion files")
@@ -129,7 +120,10 @@ def _parts(motion: str) -> tuple[str, dict[str, str]]:
 def _stored(motion: str) -> str:
     """Return the name by which recordings know motions, which are stored names or paths of files."""
     walk, acts = _parts(motion)
-    read = [("", walk, walk_file), *((f"{key}=", of, _reader("act").act_file) for key, of in acts.items())]
+    read = [
+        ("", walk, _reader("motion").walk_file),
+        *((f"{key}=", of, _reader("act").act_file) for key, of in acts.items()),
+    ]
     return JOIN.join(key + (of if of.startswith(STORED) else keep_walk(file(of))) for key, of, file in read if of)
 
 

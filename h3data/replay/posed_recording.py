@@ -360,11 +360,8 @@ class PosedRecording:
             add_gestures(body, quats, pelvis, gestures[steps])
         if prefix + "motion_hands" in columns:
             lead_hands(body, quats, pelvis, columns[prefix + "motion_hands"][steps])
-        for event in self.recording.events if body.acts else ():
-            act = body.acts.get(event.target.removeprefix(f"{self.recording.agents[agent].name}_"))
-            if event.agent == agent and event.kind == PERFORMS and act is not None:
-                times = columns["time_ns"][steps] - columns["time_ns"][event.step]
-                act.perform(quats, pelvis, times.astype(np.float64) * 1e-9, int(event.detail))
+        for name, act in body.acts.items():
+            act.replay(self.recording, agent, name, steps, quats, pelvis)
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 
     @cached_property
@@ -473,8 +470,6 @@ def _matrix(body: Body) -> Array:
 
 BEGINS, ENDS = "activity", ("activity", "walks_to", "gets_up")
 """Kinds of the events that start and end a gesture; the target of the first is the name of the activity."""
-PERFORMS = "performs"
-"""Kind of the event with which a person begins a captured motion; the detail is the number of its repetitions."""
 RAMP_S = 0.8
 """Time in which the hands move into the gesture at its start, and back before its end [s]."""
 

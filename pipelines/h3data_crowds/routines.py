@@ -20,7 +20,6 @@ from h3data.bodies.people.gestures import GESTURES
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
-from h3data.replay.posed_recording import PERFORMS
 from h3data.scene.records import instance_bounds
 from sim_kinematic.crowd.crowd import VERSION
 from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station
@@ -293,7 +292,7 @@ class Routine:
         for _ in range(round(SETTLE_S / STEP_S)):
             yield place, 0.0
         times = int(seconds / act.seconds + 1e-6)
-        work.events.append((PERFORMS, stop.activity, str(times)))
+        work.events.append((act.event, stop.activity, str(times)))
         for lead in np.tile(act.leads, (times, 1, 1)):
             work.lead[:] = lead
             yield place, 0.0

@@ -10,8 +10,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from h3data.bodies.people.gestures import BOTH
 from h3data.bodies.people.humanoid import Humanoid
@@ -28,6 +30,7 @@ from h3data.geometry import (
     quat_nlerp,
     smoothstep,
 )
+from h3data.recording import Recording
 from h3data_motion.clip import Motion
 from h3data_motion.contacts import leg_frames, legs_to
 from h3data_motion.files import load_motion, motion_bytes, read_motion
@@ -50,6 +53,9 @@ OUTLINE_M = 0.04
 class Act:
     """A motion fitted to a body, which stays where the person stands."""
 
+    event: ClassVar[str] = "performs"
+    """Kind of the event with which a person begins; the target ends with the name, and the detail is the number of
+    repetitions."""
     body: Humanoid
     motion: Motion
     """Motion of the body with its feet on the floor, in the agent root frame of the place where the person stands."""
@@ -65,6 +71,15 @@ class Act:
         steps = np.rint(np.asarray(since, np.float64) / STEP_S * 64) / 64 % round(self.seconds / STEP_S)
         time = steps * STEP_S
         return time, np.clip(np.minimum(time, self.seconds - time) / BLEND_S, 0.0, 1.0)
+
+    def replay(
+        self, recording: Recording, agent: int, name: str, steps: NDArray[np.integer], quats: Array, pelvis: Array
+    ) -> None:
+        """Change poses of an agent at ``steps`` [T] of a recording, in place, where the agent plays the motion ``name``."""
+        time_ns, target = recording.columns["time_ns"], f"{recording.agents[agent].name}_{name}"
+        for event in recording.events:
+            if (event.agent, event.kind, event.target) == (agent, self.event, target):
+                self.perform(quats, pelvis, (time_ns[steps] - time_ns[event.step]) * 1e-9, int(event.detail))
 
     def perform(self, quats: Array, pelvis: Array, since: Array, times: int) -> None:
         """Change poses of a standing person to those of the clip, in place.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies.people.skeleton import JOINT_COUNT
 from h3data.errors import FormatError
-from h3data.geometry import Array, normalized, quat_from_axis_angle, quat_from_rotvec
+from h3data.geometry import Array, normalized, quat_from_axis_angle
 from h3data_motion.clip import Motion, in_start_frame, turned_frames
 from h3data_motion.npz_arrays import npz_arrays, npz_names
 
@@ -169,3 +169,9 @@ def _fps(data: Mapping[str, NDArray[Any]], where: str) -> float:
         f"File: {where}",
         code="H3-BODY-002",
     )
+
+
+def quat_from_rotvec(rotvec: Array) -> Array:
+    """Return quaternions [..., 4] of axis-angle vectors [..., 3] [rad]."""
+    r = np.asarray(rotvec, np.float64)
+    return quat_from_axis_angle(r, np.linalg.norm(r, axis=-1))

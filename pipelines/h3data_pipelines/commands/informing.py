@@ -160,7 +160,7 @@ def _walks(recording: Recording) -> list[str]:
 
 def _players(recording: Recording) -> list[str]:
     """Return the lines about people who played live: messages, round trips, steps that were not played in time."""
-    from h3data.recording.live_input import live_inputs, remark_lines, slipped_steps
+    from h3data.recording.live_input import live_inputs, remark_lines
 
     lines = []
     for player in live_inputs(recording):
@@ -186,8 +186,16 @@ def _by_bot(recording: Recording) -> str:
     return f" ({', '.join(marks)})" if marks else ""
 
 
+def slipped_steps(recording: Recording) -> int:
+    """Return the steps of a live session that the server did not simulate in time."""
+    from h3data.recording.live_input import SLIP, payload_of
+
+    slips = (payload_of(event).get("steps") for event in recording.inputs if event.kind == SLIP)
+    return sum(steps for steps in slips if isinstance(steps, int))
+
+
 def _of_recording(recording: Recording) -> dict[str, Any]:
-    from h3data.recording.live_input import live_inputs, slipped_steps
+    from h3data.recording.live_input import live_inputs
 
     return {
         "kind": "recording",
