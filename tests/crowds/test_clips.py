@@ -85,7 +85,7 @@ def check_body(name: str, dance: Path) -> None:
     ends = body.acts["dance"].seconds * np.arange(3)
     at_ends = np.abs(since[:, None] - ends).min(1) < 0.01
     outside = (since < 0) | (since > ends[-1]) | at_ends
-    assert np.array_equal(quats[outside], still[outside]), "they stand before, between and after"
+    assert np.abs(quats[outside] - still[outside]).max() < 1e-3, "they stand before, between and after"
     middle = np.argmin(np.abs(since - 2.0))
     assert np.array_equal(quats[middle], body.acts["dance"].motion.pose(2.0)[0][0]), "and are as captured in between"
 
@@ -102,7 +102,8 @@ def test_outline_covers_the_body(dance: Path):
 
 def test_a_recording_holds_the_clip_and_verifies(recording: Recording, dance: Path, tmp_path: Path):
     begun = [event for event in recording.events if event.kind == "performs"]
-    assert [(event.target, event.detail) for event in begun] == [("human_1_dance", "2")] or begun[0].detail == "2"
+    assert begun[0].detail == "2"
+    assert begun[0].target.endswith("_dance")
     (name,) = [name for name in recording.attachments if name.startswith("motion_")]
     assert recording.agents[0].model.endswith(f"+dance=motion:{name.removeprefix('motion_').removesuffix('.npz')}")
     assert set(recording.episode.info["motions"]) == {name}
@@ -119,7 +120,7 @@ def test_a_recording_holds_the_clip_and_verifies(recording: Recording, dance: Pa
     assert moved[step - 10 : step].max() < 0.005
     # contact finds the hands where replays show them
     assert recording.columns["agent_0.motion_hands"][step + 40, :2, 3].min() == 1.0
-    assert not recording.columns["agent_0.motion_hands"][: step + 1].any()
+    assert not recording.columns["agent_0.motion_hands"][: step + 1, :2, 3].any()
 
 
 def test_without_its_clip_a_person_stands(recording: Recording):

@@ -151,11 +151,17 @@ def _moved_joints(recording: Recording) -> list[str] | None:
 
 
 def _walks(recording: Recording) -> list[str]:
-    """Return the lines about motion files that people walk by."""
+    """Return the lines about motion files by which people walk, or which they play as activities."""
     motions = recording.episode.info.get("motions")
     facts = motions.items() if isinstance(motions, dict) else ()
     known = [(file, fact) for file, fact in facts if isinstance(fact, dict)]
-    return [f"  walk     of {fact.get('name')} ({file}) {fact.get('source', '')}".rstrip() for file, fact in known]
+    # a model names activities by ``+dance=motion:`` and the digits of the file
+    models = " ".join(agent.model for agent in recording.agents)
+    acts = {file for file, _ in known if f"=motion:{file.removeprefix('motion_').removesuffix('.npz')}" in models}
+    return [
+        f"  {'activity' if file in acts else 'walk':<8} of {fact.get('name')} ({file}) {fact.get('source', '')}".rstrip()
+        for file, fact in known
+    ]
 
 
 def _players(recording: Recording) -> list[str]:
