@@ -134,7 +134,7 @@ class Act:
 
     @cached_property
     def leads(self) -> Array:
-        """Where the palms are in each step of one repetition, as `gestures.lead_hands` takes them, [T, 4, 4]."""
+        """Places of the palms in each step of one repetition, as `gestures.lead_hands` takes them, [T, 4, 4]."""
         time, progress = self.weight(np.arange(round(self.seconds / STEP_S)) * STEP_S)
         leads = np.zeros((len(time), 4, 4))
         joints = self.body.joint_matrices(IDENTITY_POSE[None], *self.motion.pose(time))

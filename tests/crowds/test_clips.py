@@ -148,7 +148,7 @@ def test_nobody_dances_through_furniture(dance: Path):
     ahead = (found[1] - found[0]) / np.linalg.norm(found[1] - found[0])
     points = found[0] + act.outline[:, :1] * ahead + act.outline[:, 1:2] * [-ahead[1], ahead[0]]
     assert (FREE.signed_distance(points) >= act.outline[:, 2] - 0.021).all()
-    wide = act.outline + [0, 0, 3.0]
+    wide = act.outline + np.array([0, 0, 3.0])
     assert place_beside(SCENE, FREE, "sofa_0", near, wide) is None
 
 
