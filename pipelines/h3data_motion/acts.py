@@ -31,7 +31,7 @@ from h3data.geometry import (
     smoothstep,
 )
 from h3data.recording import Recording
-from h3data_motion.clip import Motion
+from h3data_motion.clip import Motion, pelvis_heading
 from h3data_motion.contacts import leg_frames, legs_to
 from h3data_motion.files import load_motion, motion_bytes, read_motion
 from h3data_motion.retarget import retarget
@@ -43,6 +43,8 @@ SECONDS = (1.2, 120.0)
 """Shortest and longest clip [s]."""
 DRIFT_M = 0.5
 """Largest distance of the pelvis along the floor from where it begins [m]; beyond it, the person walks away."""
+TURN_DEG = 60.0
+"""Largest turn of the pelvis from the first to the last frame [deg], as the person turns back in `BLEND_S`."""
 LIFT, STEP_S = 0.3, 1 / 30
 """Height of a foot's path between standing and the clip, as a share of its length; and the duration of a step [s]."""
 OUTLINE_M = 0.04
@@ -197,6 +199,13 @@ def act_file(path: str) -> bytes:
             f"{what} the person gets {drift:.2f} m away, and at most {DRIFT_M} m are possible at a place. Hint: cut out a part "
             "on the spot, or use the motion as a walk (--motion).",
             code="H3-BODY-186",
+        )
+    turn = float(np.degrees(np.abs(pelvis_heading(fitted.quats[-1:, 0])[0])))
+    if turn > TURN_DEG:
+        raise InputError(
+            f"{what} the person ends turned by {turn:.0f} degrees from the beginning, and at most {TURN_DEG:g} are possible. "
+            "Hint: cut out a part that ends in the direction in which it begins.",
+            code="H3-BODY-188",
         )
     places = body.joint_matrices(IDENTITY_POSE[None], fitted.quats, fitted.pelvis)[:, :22, :3, 3]
     jumps = np.linalg.norm(np.diff(places, n=2, axis=0), axis=-1).mean(1) >= CUT_M + CUT_MPS2 / motion.fps**2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,8 +23,10 @@ from h3data_motion.acts import act_file
 from h3data_motion.clip import Motion, in_start_frame
 from h3data_motion.contacts import leg_frames
 from h3data_motion.files import read_motion, save_motion
+from h3data_pipelines.cli import main
 from sim_kinematic.tasks.resume import verify
 from tests.crowds.test_routines import FREE, SCENE
+from tests.motion.motion_writers import turned
 
 ACT_S = 4.0
 
@@ -123,6 +126,22 @@ def test_a_recording_holds_the_clip_and_verifies(recording: Recording, dance: Pa
     assert not recording.columns["agent_0.motion_hands"][: step + 1, :2, 3].any()
 
 
+def test_exports_show_the_clip(recording: Recording, tmp_path: Path):
+    begun = next(event.step for event in recording.events if event.kind == "performs")
+    write_mcap(recording, tmp_path / "dance.mcap")
+    target = tmp_path / "dance.gfx_replay.json"
+    assert main(["export", str(tmp_path / "dance.mcap"), "--to", "gfx-replay", "-o", str(target)]) == 0
+    frames = json.loads(target.read_text())["keyframes"]
+    bones = [
+        np.array([bone["t"] for bone in frame["rigUpdates"][0]["pose"]])
+        for frame in (frames[begun], frames[begun + 30])
+    ]
+    posed = PosedRecording(recording).joint_matrices(0, np.array([begun, begun + 30]))
+    for places, joints in zip(bones, posed[:, :, :3, 3], strict=True):
+        assert np.linalg.norm(places[:, None] - joints, axis=2).min(0)[:22].max() < 0.02
+    assert np.abs(bones[1] - bones[0]).max() > 0.2
+
+
 def test_without_its_clip_a_person_stands(recording: Recording):
     (name,) = [name for name in recording.attachments if name.startswith("motion_")]
     lost = replace(recording, attachments={"scene.glb": recording.attachments["scene.glb"]})
@@ -168,6 +187,8 @@ def test_files_that_are_no_activity_are_refused(dance: Path, tmp_path: Path):
     away = np.linspace(0, 2, len(motion))[:, None] * [1, 0, 0]
     with pytest.raises(InputError, match="H3-BODY-186"):
         act_file(saved(tmp_path / "away.npz", replace(motion, pelvis=motion.pelvis + away)))
+    with pytest.raises(InputError, match="H3-BODY-188"):
+        act_file(saved(tmp_path / "turn.npz", turned(load_humanoid("male_1"))))
     quats = motion.quats.copy()
     quats[60:, 0] = quat_multiply(np.array([0, 1.0, 0, 0]), quats[60:, 0])
     with pytest.raises(InputError, match="H3-BODY-187"):
