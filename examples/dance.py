@@ -2,7 +2,7 @@
 
 python examples/dance.py out/dance         # dance.bvh, episode.mcap, dance.png; then the same by the command line:
 h3data generate wander --scenes medium2:1 --agents robot,human:female_1+dance=out/dance/dance.bvh,human \
-    --partner orca+sofa_0:dance:9+sofa_0:read:6,orca --set max_steps=900 --spawn-distance 1 --mcap -o out/dance/ds
+    --partner orca+sofa_0:dance:9+sofa_0:read:6,orca --set max_steps=900 --spawn-distance 1 --episodes 1 --mcap -o out/dance/ds
 """
 
 from __future__ import annotations
