@@ -32,7 +32,7 @@ import numpy as np
 from aiohttp import ClientError
 
 from h3data.recording import read_mcap
-from h3data.recording.live_input import slipped_steps
+from h3data_pipelines.commands.informing import slipped_steps
 from h3data_play.front import SEATS_PER_ADDRESS
 from h3data_play.messages import PERIOD_S
 from h3data_studies.bots.client import BUSY, Client

@@ -17,20 +17,15 @@ def builtin_root() -> Path:
     Raises:
         InputError: the installation is incomplete.
     """
-    return _shipped("_datasets", "datasets", "built-in data of h3data")
+    return shipped("_datasets", "datasets", "built-in data of h3data")
 
 
-def pages_root() -> Path:
-    """Return the folder of the documentation's pages.
+def shipped(installed: str, checkout: str, what: str) -> Path:
+    """Return a folder that ships with the package: within it where it is installed, beside it in a checkout.
 
     Raises:
         InputError: the installation is incomplete.
     """
-    return _shipped("_docs", "docs", "pages of the documentation")
-
-
-def _shipped(installed: str, checkout: str, what: str) -> Path:
-    """Return a folder that ships with the package: within it where it is installed, beside it in a checkout."""
     # the wheel's folder first, as a checkout has none; an installed package may have anything beside it
     package = Path(__file__).resolve().parent
     for candidate in (package / installed, package.parent / checkout):

@@ -60,14 +60,6 @@ def smoothstep(share: Share) -> Share:
     return share * share * (3 - 2 * share)
 
 
-def minimum_jerk(share: Share) -> Share:
-    """Return the progress along a path, 0 to 1, at a share of its time, by a quintic without acceleration at both ends.
-
-    It is the minimum-jerk profile of Flash and Hogan (1985).
-    """
-    return share**3 * (10 - 15 * share + 6 * share * share)
-
-
 def add_up(values: Iterable[float]) -> float:
     """Return the sum from left to right, 0.0 without numbers, with the same bits on all versions of Python.
 
@@ -165,12 +157,6 @@ def quat_from_axis_angle(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
     out = np.empty((*turned.shape[:-1], 4), turned.dtype)
     out[..., :3], out[..., 3:] = turned, np.cos(half)
     return out
-
-
-def quat_from_rotvec(rotvec: ArrayLike) -> Array:
-    """Return quaternions [..., 4] of axis-angle vectors [..., 3] [rad]."""
-    r = _floating(rotvec)
-    return quat_from_axis_angle(r, np.linalg.norm(r, axis=-1))
 
 
 def quat_from_heading(heading_rad: ArrayLike) -> Array:

@@ -200,7 +200,7 @@ MOVED = {
     "h3data.formats.json_files": "h3data_habitat.json_files",
     "h3data.formats.json_stream": "h3data_habitat.json_stream",
     "h3data.limits": "h3data_habitat.limits",
-    "h3data.npz_arrays": "h3data_motion.npz_arrays",
+    "h3data.npz_arrays": "h3data_motion.amass",
     "h3data.safe_pickle": "h3data_habitat.safe_pickle",
     "h3data.mesh.meshopt": "h3data_meshes.meshopt",
     "h3data.metrics.paper.oracle": "h3data_habitat.metrics.oracle",

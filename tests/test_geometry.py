@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from h3data import geometry as g
+from h3data_motion.amass import quat_from_rotvec
 
 DTYPES = (np.float32, np.float64)
 
@@ -83,7 +84,7 @@ def test_heading_survives_the_quaternion(heading: float) -> None:
 def test_rotation_vectors(rotvec: np.ndarray) -> None:
     from scipy.spatial.transform import Rotation
 
-    assert same_rotation(g.quat_from_rotvec(rotvec), Rotation.from_rotvec(rotvec).as_quat(), 1e-9)
+    assert same_rotation(quat_from_rotvec(rotvec), Rotation.from_rotvec(rotvec).as_quat(), 1e-9)
 
 
 def test_signs_are_continuous_and_the_rotation_stays() -> None:

@@ -1,13 +1,15 @@
 """Names of bodies of people, and the gaits from motion files that this process has registered.
 
 A person who walks as in a motion file is named by a body, a plus sign, and the file, as in ``female_0+walk.npz``.
-Recordings name the motion by ``motion:`` and 16 hex digits of the SHA-256 of its file, which is an attachment of the
-recording. `h3data.walks` describes the contents of such files.
+One who plays motion files as activities also has their names, as in ``female_0+dance=dance.bvh``. Recordings name the
+motion by ``motion:`` and 16 hex digits of the SHA-256 of its file, which is an attachment of the recording.
+`h3data.walks` describes the contents of such files.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable, Mapping
 from functools import cache, lru_cache
 from pathlib import Path
@@ -33,7 +35,8 @@ def load_humanoid(name: str | Path) -> Humanoid:
     Args:
         name: a built-in body (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or an ``.npz``
             file. A colon and an outfit may follow (``female_0:dress``), and ``+`` and a motion file
-            (``female_0+walk.bvh``), which then replaces the person's gait.
+            (``female_0+walk.bvh``), which then replaces the person's gait, and motion files by the names of activities
+            (``female_0+dance=dance.bvh``), which are in `Humanoid.acts`.
 
     Raises:
         InputError: there is no such body, outfit or motion, or the motion contains no walking.
@@ -42,9 +45,12 @@ def load_humanoid(name: str | Path) -> Humanoid:
     body, motion = split_walk(str(name))
     if not motion:
         return humanoid_file.load_humanoid(name)
-    walk = _stored(motion)
+    stored = _stored(motion)
+    walk, acts = _parts(stored)
     person = humanoid_file.load_humanoid(body)
-    return _reader().walking(person, _kept(walk), name=f"{person.name}{JOIN}{walk}")
+    own = f"{person.name}{JOIN}{stored}"
+    person = _reader("motion").walking(person, _kept(walk), name=own) if walk else person
+    return _reader("act").acting(person, {key: _kept(of) for key, of in acts.items()}, name=own) if acts else person
 
 
 def split_walk(model: str) -> tuple[str, str]:
@@ -87,37 +93,38 @@ def keep_walks(attachments: Mapping[str, bytes]) -> None:
 
 def walk_attachments(models: Iterable[str]) -> dict[str, bytes]:
     """Return the gait files that stored body names refer to, as attachments of a recording."""
-    names = sorted({split_walk(model)[1] for model in models} - {""})
+    names = sorted({name for model in models for name in re.findall(rf"{STORED}[0-9a-f]{{16}}", model)})
     return {f"{ATTACHED}{name.removeprefix(STORED)}.npz": _kept(name) for name in names}
 
 
 def walk_facts(models: Iterable[str]) -> dict[str, Any]:
     """Return entries for a recording's info about the gaits that stored body names refer to, by name of the attachment."""
     return {
-        name: {**_reader().facts(data), "sha256": hashlib.sha256(data).hexdigest()}
+        name: {**_reader("motion").facts(data), "sha256": hashlib.sha256(data).hexdigest()}
         for name, data in walk_attachments(models).items()
     }
 
 
-def walk_file(path: str) -> bytes:
-    """Return the contents of the gait file for the walk in a motion file.
-
-    Raises:
-        InputError: there is no such file, or nobody walks in it.
-        FormatError: the file is not a motion file.
-    """
-    return _reader().walk_file(path)
-
-
 @cache
-def _reader() -> Any:
+def _reader(kind: str) -> Any:
     readers: Registry[Any] = Registry("h3data.walks", {}, what="reader of motion files")
-    return readers.get("motion")
+    return readers.get(kind)
+
+
+def _parts(motion: str) -> tuple[str, dict[str, str]]:
+    """Return the walk (empty without one) and the activities by name in what follows the body's name."""
+    walk, *acts = re.split(r"\+(?=[a-z]\w*=)", JOIN + motion)
+    return walk[1:], {key: of for key, _, of in (act.partition("=") for act in acts)}
 
 
 def _stored(motion: str) -> str:
-    """Return the name by which recordings know a motion, which is a stored name or the path of a file."""
-    return motion if motion.startswith(STORED) else keep_walk(walk_file(motion))
+    """Return the name by which recordings know motions, which are stored names or paths of files."""
+    walk, acts = _parts(motion)
+    read = [
+        ("", walk, _reader("motion").walk_file),
+        *((f"{key}=", of, _reader("act").act_file) for key, of in acts.items()),
+    ]
+    return JOIN.join(key + (of if of.startswith(STORED) else keep_walk(file(of))) for key, of, file in read if of)
 
 
 def _kept(name: str) -> bytes:

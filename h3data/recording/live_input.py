@@ -44,11 +44,6 @@ class LiveInput:
         return (float(np.median(known)), float(np.percentile(known, 95))) if len(known) else None
 
 
-def seq_column(user: int) -> str:
-    """Return the name of the column that numbers a player's messages."""
-    return f"input.user_{user}.seq"
-
-
 def rtt_column(user: int) -> str:
     """Return the name of the column of a player's round-trip time."""
     return f"input.user_{user}.rtt_ms"
@@ -58,12 +53,6 @@ def live_inputs(recording: Recording) -> list[LiveInput]:
     """Return the input of each player of a live session; empty for other recordings."""
     users = sorted({e.user for e in recording.inputs if e.kind in (CLIENT, CONNECTED)})
     return [_of(recording, user, [e for e in recording.inputs if e.user == user]) for user in users]
-
-
-def slipped_steps(recording: Recording) -> int:
-    """Return the steps of a live session that the server did not simulate in time."""
-    slips = (_json(event).get("steps") for event in recording.inputs if event.kind == SLIP)
-    return sum(steps for steps in slips if isinstance(steps, int))
 
 
 def remark_lines(recording: Recording) -> list[str]:
@@ -96,7 +85,7 @@ def _of(recording: Recording, user: int, events: Sequence[InputEvent]) -> LiveIn
 def _asked(event: InputEvent, now: str) -> str:
     if event.kind in (CONNECTED, DISCONNECTED):
         return NOTHING if event.kind == CONNECTED else AWAY
-    message = _json(event).get("message") if event.kind == CLIENT else None
+    message = payload_of(event).get("message") if event.kind == CLIENT else None
     if not isinstance(message, dict):
         return now
     kind = message.get("k")
@@ -109,7 +98,7 @@ def _asked(event: InputEvent, now: str) -> str:
     return NOTHING if kind == "stop" else kind
 
 
-def _json(event: InputEvent) -> dict[str, Any]:
+def payload_of(event: InputEvent) -> dict[str, Any]:
     """Return the payload of raw input; empty where it is no JSON object, which `h3data validate` reports."""
     try:
         payload = json.loads(event.payload or "{}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -247,6 +248,10 @@ class PosedRecording:
             with names_from_data():
                 return load_robot(name)
         if kind == "humanoid":
+            # without a clip that is not in the recording, the person stands
+            for lost in re.findall(r"\+\w+=(motion):(\w+)", name):
+                if (file := "_".join(lost) + ".npz") not in self.recording.attachments:
+                    name, self.missing[file] = re.sub(rf"\+\w+={':'.join(lost)}", "", name), 1
             return load_humanoid(name)
         raise FormatError(
             f"Agent {self.recording.agents[agent].name!r} has the model {self.recording.agents[agent].model!r}; "
@@ -355,6 +360,8 @@ class PosedRecording:
             add_gestures(body, quats, pelvis, gestures[steps])
         if prefix + "motion_hands" in columns:
             lead_hands(body, quats, pelvis, columns[prefix + "motion_hands"][steps])
+        for name, act in body.acts.items():
+            act.replay(self.recording, agent, name, steps, quats, pelvis)
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 
     @cached_property

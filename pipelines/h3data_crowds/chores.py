@@ -28,7 +28,6 @@ from h3data.geometry import (
     Array,
     ground_pose,
     heading_from_quat,
-    minimum_jerk,
     pose_inverse,
     pose_to_matrix,
     quat_from_axis_angle,
@@ -656,6 +655,14 @@ def _led_to_tray(middle: Array, spot: Array, lean: Array, farther_m: float) -> A
     lead[:, 2:, :3] = _grips(spot, IDENTITY_POSE) + np.array([farther_m, 0.0, 0.0])
     lead[:, 2:, 3] = lean[:, None] / 2
     return lead
+
+
+def minimum_jerk(share: Array) -> Array:
+    """Return the progress along a path, 0 to 1, at a share of its time, by a quintic without acceleration at both ends.
+
+    It is the minimum-jerk profile of Flash and Hogan (1985).
+    """
+    return share**3 * (10 - 15 * share + 6 * share * share)
 
 
 def _ramp(t: Array, start: float, end: float) -> Array:

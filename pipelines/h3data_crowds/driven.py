@@ -12,10 +12,20 @@ from typing import Any
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.geometry import Array, heading_from_quat, minimum_jerk, pose_multiply
+from h3data.geometry import Array, heading_from_quat, pose_multiply
 from h3data.recording import Event
 from h3data.scene.records import instance_bounds
-from h3data_crowds.chores import BREAKFAST, CHORES, SETTLES_S, CarryingHands, Chore, ChoreRoutine, chosen_stops, planned
+from h3data_crowds.chores import (
+    BREAKFAST,
+    CHORES,
+    SETTLES_S,
+    CarryingHands,
+    Chore,
+    ChoreRoutine,
+    chosen_stops,
+    minimum_jerk,
+    planned,
+)
 from h3data_crowds.routines import Stop
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.skills import CHORE, CONTROL, Action, Skill, SkillResult

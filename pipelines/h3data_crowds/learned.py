@@ -45,7 +45,7 @@ class RecurrentDriver(VisualNavigation):
 
 def _observe(view: AgentView) -> Callable[..., Mapping[str, NDArray[Any]]]:
     if view.observe is None:
-        raise InputError("The policy needs observations, and nobody computes them here.", code="H3-TASK-094")
+        raise InputError("The policy needs observations, and nobody computes them here.", code="H3-TASK-099")
     return view.observe
 
 

@@ -1,7 +1,8 @@
 """Routines of people: a sequence of stops ``(place, activity, seconds)`` in a home.
 
 A place is the name of a thing in the home, which the person faces during the activity. An activity (`ACTIVITIES`) is
-also the name of a posture; a body without a posture of this name stands.
+also the name of a posture; a body without a posture of this name stands. The names in `Humanoid.acts` are activities too:
+the person plays that motion, as often as it fits into the time, where the floor is free below all of it.
 """
 
 from __future__ import annotations
@@ -15,14 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid
+from h3data.bodies.people.gestures import GESTURES
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.records import instance_bounds
 from sim_kinematic.crowd.crowd import VERSION
-from sim_kinematic.crowd.errands import Errand, HandWork
-from sim_kinematic.crowd.seating import Seats
+from sim_kinematic.crowd.errands import Errand, HandWork, Motion, Station
+from sim_kinematic.crowd.seating import SETTLE_S, Seats, steps_between
 from sim_kinematic.motion.randomness import generator
+from sim_kinematic.motion.spec import STEP_S
 
 
 class Stop(NamedTuple):
@@ -77,6 +80,11 @@ BESIDE_M, ROOM_M, BEARINGS = 0.9, 0.33, 48
 """Largest distance of a person from a thing, smallest free radius there [m], and number of directions that are tried.
 """
 
+CLIP_GAPS = (0.5, 0.6, 0.75, BESIDE_M, 1.1, 1.3, 1.6, 2.0)
+"""Distances from a thing at which people play captured motions, of which the nearest with room is taken [m]."""
+INTO_M = 0.02
+"""Greatest depth of the body in what stands on the floor during a captured motion [m]."""
+
 
 def posture_of(activity: str, postures: Sequence[str] = ("stand",)) -> str:
     """Return the posture for an activity: one with the activity's name, its general posture, or ``stand``."""
@@ -85,7 +93,12 @@ def posture_of(activity: str, postures: Sequence[str] = ("stand",)) -> str:
 
 
 def place_beside(
-    scene: Scene, free: FreeSpace, name: str, near: NDArray[np.float64]
+    scene: Scene,
+    free: FreeSpace,
+    name: str,
+    near: NDArray[np.float64],
+    outline: Array | None = None,
+    taken: Sequence[Array] = (),
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return the nearest reachable place (x, z) [2] [m] next to a thing and the point [2] of it to face, or None.
 
@@ -94,17 +107,30 @@ def place_beside(
         free: Free floor of the home.
         name: Name of the thing.
         near: Position (x, z) [2] [m] from which the person comes.
+        outline: Circles ``(ahead, right, radius)`` [N, 3] [m] of a person who faces the thing, for which there must be
+            free floor; None: any person who stands.
+        taken: Places ``(x, z, ...)`` of others, from which the circles must be 0.3 m away.
     """
     thing = next(instance for instance in scene.instances if instance.name == name)
     low, high = instance_bounds(scene, thing)[:, [0, 2]]
     angles = 2 * np.pi * np.arange(BEARINGS) / BEARINGS
     away = np.stack([np.cos(angles), np.sin(angles)], 1)
     edge = np.clip((low + high) / 2 + away * np.hypot(*(high - low)), low, high)
-    at = np.concatenate([edge + gap * away for gap in (0.5, 0.6, 0.75, BESIDE_M)])
-    faced = np.tile(edge, (4, 1))
+    gaps = (0.5, 0.6, 0.75, BESIDE_M) if outline is None else CLIP_GAPS
+    at = np.concatenate([edge + gap * away for gap in gaps])
+    faced = np.tile(edge, (len(gaps), 1))
     far = free.geodesic(np.broadcast_to(near, at.shape), at)
     fits = np.isfinite(far) & (free.signed_distance(at) >= ROOM_M) & no_wall_between(free, at, faced)
     fits = np.flatnonzero(fits)
+    if outline is not None:
+        ahead = faced[fits] - at[fits]
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        right = np.stack([-ahead[:, 1], ahead[:, 0]], 1)
+        points = at[fits, None] + outline[:, :1] * ahead[:, None] + outline[:, 1:2] * right[:, None]
+        room = free.signed_distance(points.reshape(-1, 2)).reshape(points.shape[:2])
+        for other in taken:
+            room = np.minimum(room, np.linalg.norm(points - other[:2], axis=2) - 0.3)
+        fits = fits[np.all(room >= outline[:, 2] - INTO_M, axis=1)]
     if not len(fits):
         return None
     best = fits[np.argmin(np.hypot(*(at[fits] - faced[fits]).T) + 1e-3 * far[fits])]
@@ -147,7 +173,8 @@ class Routine:
         """Create a routine and check its stops; without a ``body`` the person always stands.
 
         Raises:
-            InputError: There are no stops, or a stop names nothing in the home or has no finite duration.
+            InputError: There are no stops, a stop names nothing in the home or has no finite duration, a captured motion
+                has the name of another activity, or lasts longer than its stop.
         """
         names = {instance.name for instance in scene.instances}
         wrong = [stop for stop in stops if stop.place not in names or not 0 < stop.seconds < math.inf]
@@ -157,8 +184,21 @@ class Routine:
                 f"{tuple(wrong[0]) if wrong else 'none'}.",
                 code="H3-SIM-063",
             )
-        self.stops = tuple(stops)
-        self.hands: HandWork | None = None
+        self.stops, self.acts = tuple(stops), {} if body is None else body.acts
+        """Stops, and the captured motions of the person by name."""
+        for name in sorted({*self.acts} & {*ACTIVITIES, *GESTURES, "take", "lift", "put"}):
+            raise InputError(
+                f"A captured motion has the name of the activity {name!r}. Hint: give it another name.",
+                code="H3-TASK-094",
+            )
+        for stop in self.stops:
+            if stop.activity in self.acts and self.acts[stop.activity].seconds > stop.seconds:
+                raise InputError(
+                    f"The motion {stop.activity!r} lasts {self.acts[stop.activity].seconds:.1f} s, longer than its stop "
+                    f"{tuple(stop)}. Hint: give the stop more time, or cut the motion.",
+                    code="H3-TASK-096",
+                )
+        self.hands: HandWork | None = HandWork() if self.acts else None
         """Work of the person's hands; None: they handle nothing."""
         self.version = VERSION
         """Version of the rules of the person (`follow`)."""
@@ -194,6 +234,21 @@ class Routine:
     ) -> tuple[tuple[NDArray[np.float64], Errand] | None, tuple[str, str]]:
         """Return the place and errand of stop ``k`` as `next_stop` does, or a refused errand (`Errand.refused`)."""
         stop, refused = self.stops[k], ("", "")
+        if stop.activity in self.acts:
+            own = self.acts[stop.activity]
+            found = place_beside(self._scene, self._free, stop.place, xz, own.outline, taken)
+            if found is not None:
+                (x, z), look = found[0].tolist(), found[1]
+                place = np.array([x, z, np.arctan2(z - look[1], look[0] - x)])
+                keeps = PERSON_M + float(np.hypot(*own.outline[:, :2].T).max())
+                station = Station(stop.place, 0.0, np.append(place, keeps), partial(self._perform, stop, place))
+                errand = Errand(np.zeros((0, 2)), stop.seconds, None, stop.activity, stop.place, station)
+                return (found[0], errand), refused
+            fault = InputError(
+                f"There is no free floor for {stop.activity!r} within {CLIP_GAPS[-1]} m of {stop.place}.",
+                code="H3-TASK-095",
+            )
+            refused = stop.place, f"{fault.code}: {fault}"
         posture = posture_of(stop.activity, ("stand", "sit", "lie"))
         if self._seats is not None and posture != "stand":
             seats = self._seats.at(stop.place)
@@ -225,6 +280,25 @@ class Routine:
             look = float(x), float(z)
             return (at, Errand(np.zeros((0, 2)), stop.seconds, look, stop.activity, stop.place)), refused
         return None, refused
+
+    def _perform(self, stop: Stop, place: Array, here: Array, seconds: float) -> Motion:
+        """Yield the motion of a person who steps to a place [3], plays the motion of a stop, and stands there until its end.
+
+        The hands are led to where the motion has them, so that contact finds the arms there.
+        """
+        assert self.hands is not None
+        act, work = self.acts[stop.activity], self.hands
+        yield from steps_between(here, place)
+        for _ in range(round(SETTLE_S / STEP_S)):
+            yield place, 0.0
+        times = int(seconds / act.seconds + 1e-6)
+        work.events.append((act.event, stop.activity, str(times)))
+        for lead in np.tile(act.leads, (times, 1, 1)):
+            work.lead[:] = lead
+            yield place, 0.0
+        work.lead[:] = 0.0
+        for _ in range(round((seconds - times * act.seconds) / STEP_S) + 1):
+            yield place, 0.0
 
 
 def _daily(name: str, episode: Any, number: int) -> Routine:

@@ -16,10 +16,9 @@ from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 from h3data.plugins import Registry
-from h3data_motion.amass import Up, is_amass, read_amass
+from h3data_motion.amass import Up, is_amass, npz_arrays, npz_names, read_amass
 from h3data_motion.bvh_motion import read_bvh
 from h3data_motion.clip import Motion
-from h3data_motion.npz_arrays import npz_arrays, npz_names
 
 FORMAT = "h3data-motion/1"
 

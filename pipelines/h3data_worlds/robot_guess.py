@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.robots.robot import Robot
-from h3data.bodies.robots.robot_loading import row_radius
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings
 from h3data.geometry import IDENTITY_POSE, Array, normalized
 from h3data.scene.records import Shape
@@ -308,3 +307,8 @@ def _middle(points: Array) -> Array:
 def _vector(values: Array) -> tuple[float, float, float]:
     x, y, z = (round(float(v), 4) + 0.0 for v in values)
     return x, y, z
+
+
+def row_radius(places: Array, points: Array) -> float:
+    """Return the smallest radius [m] of discs at positions [D] [m] along x that cover floor points ``(x, z)`` [N, 2] [m]."""
+    return float(np.hypot(points[:, None, 0] - places, points[:, None, 1]).min(1).max())

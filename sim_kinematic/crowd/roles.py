@@ -25,7 +25,8 @@ class Role(NamedTuple):
     group: str = ""
     """Name of the person's group: ``walk1`` walks abreast, ``talk1`` stands and talks; empty if they are alone."""
     routine: str = ""
-    """Name of the person's routine (`routines`); empty if they walk from goal to goal."""
+    """Name of the person's routine (`routines`), or stops ``PLACE:ACTIVITY:SECONDS`` joined by ``+``; empty if they
+    walk from goal to goal."""
 
 
 ALONE = Role()
@@ -55,6 +56,8 @@ def read_role(words: str, seed: int = 0, number: int = 0) -> Role:
             role = role._replace(reaction=word)
         elif word in (*routines().names(), *routines().missing()):
             role = role._replace(routine=word)
+        elif word.count(":") == 2:  # PLACE:ACTIVITY:SECONDS
+            role = role._replace(routine=f"{role.routine}+{word}".removeprefix("+"))
         elif re.fullmatch(r"(walk|talk)\d{0,4}", word):
             role = role._replace(group=word)
         else:

@@ -45,7 +45,8 @@ def _wander(task: Task, episode: Episode, number: int) -> Policy:
 
 def _crowd(model: CrowdModel, task: Task, episode: Episode, number: int, words: str = "") -> Policy:
     role = read_role(words, episode.seed, number)
-    routine = routines().get(role.routine)(episode, number) if role.routine else None
+    named = ("stops", role.routine) if ":" in role.routine else (role.routine,)
+    routine = routines().get(named[0])(episode, number, *named[1:]) if role.routine else None
     return CrowdPolicy(model, episode.free, episode.seed, number, episode.spec.human, role, routine)
 
 

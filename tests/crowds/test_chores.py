@@ -276,7 +276,7 @@ def test_nobody_puts_things_down_through_a_wall(name: str) -> None:
 
 def test_breakfasts_differ_by_seed_and_are_refused_where_nothing_opens() -> None:
     names = [read_role("breakfast").routine, *routines().names()]
-    assert names == ["breakfast", "morning", "evening", "breakfast", "chores"]
+    assert names == ["breakfast", "morning", "evening", "stops", "breakfast", "chores"]
     scene = hall()
     home = FreeSpace.from_scene(scene, radius_m=0.25, height_m=1.5)
     task = Wander()

@@ -32,8 +32,8 @@ from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_habitat.hitl.paper_logs import read_hitl_log
 from h3data_habitat.hitl.sessions import read_hitl_episode
 from h3data_habitat.limits import MAX_AGENTS
+from h3data_motion.amass import npz_arrays
 from h3data_motion.bvh import read_bvh_file
-from h3data_motion.npz_arrays import npz_arrays
 from h3data_pipelines.cli import main
 from tests.examples import examples
 

@@ -14,11 +14,12 @@ from h3data.bodies import load_humanoid, load_robot
 from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.commands.command import missing_lines
 from h3data.errors import InputError
-from h3data.geometry import ground_pose, pose_from_matrix, pose_to_matrix, quat_from_rotvec
+from h3data.geometry import ground_pose, pose_from_matrix, pose_to_matrix
 from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data_habitat.gfx.replay import read_gfx_replay
 from h3data_habitat.stand_ins import named_box, readable_name
+from h3data_motion.amass import quat_from_rotvec
 from tests.paths import REAL
 
 STEPS = 4

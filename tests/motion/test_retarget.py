@@ -18,9 +18,10 @@ from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
 from h3data.bodies.people.clips import clip_table, sample_clips
 from h3data.bodies.people.soles import ANKLE, runs, sole_points
 from h3data.errors import InputError
-from h3data.geometry import ground_pose, quat_from_rotvec, quat_multiply
+from h3data.geometry import ground_pose, quat_multiply
 from h3data.recording import Recording, open_recording, write_mcap
 from h3data.replay import Replay
+from h3data_motion.amass import quat_from_rotvec
 from h3data_motion.clip import Motion, same_motion
 from h3data_motion.contacts import leg_frames, legs_to
 from h3data_motion.cycle import find_loop, trim_to_cycle

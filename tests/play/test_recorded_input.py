@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from h3data.recording import Dataset, DatasetWriter, InputEvent, Recording, read_mcap, recordings_equal, state_hash
-from h3data.recording.live_input import AWAY, NOTHING, STEERS, live_inputs, slipped_steps
+from h3data.recording.live_input import AWAY, NOTHING, STEERS, live_inputs
 from h3data_pipelines.cli import main
+from h3data_pipelines.commands.informing import slipped_steps
 from h3data_pipelines.validation.recordings import validate_recording
 from h3data_play.messages import decode
 from h3data_play.plan import GameOrder

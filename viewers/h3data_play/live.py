@@ -24,7 +24,7 @@ from h3data.recording import (
     read_mcap,
     recover_mcap,
 )
-from h3data.recording.live_input import CLIENT, CONNECTED, DISCONNECTED, SLIP, rtt_column, seq_column
+from h3data.recording.live_input import CLIENT, CONNECTED, DISCONNECTED, SLIP, rtt_column
 from h3data.scene import FreeSpace
 from h3data_play.app import App, find_app
 from h3data_play.drivers import Driver
@@ -547,3 +547,8 @@ class _Payload(msgspec.Struct):
 
 
 _NO = np.zeros(1, np.bool_)
+
+
+def seq_column(user: int) -> str:
+    """Return the name of the column that numbers a player's messages."""
+    return f"input.user_{user}.seq"

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -124,6 +124,8 @@ class Humanoid:
     """Name of the clothes; empty where they are part of the body's own mesh."""
     phenotype: Mapping[str, float] = field(default_factory=dict)
     """Shape parameters from which the body was generated."""
+    acts: Mapping[str, Any] = field(default_factory=dict)
+    """Motions of files that the body can play, by name of the activity (`h3data_motion.acts.Act`)."""
     camera_names: ClassVar[tuple[str, ...]] = ("human_head",)
     """Names of the cameras of the body: one between the eyes that looks in the direction of the head."""
     climbs_stairs: ClassVar[bool] = True

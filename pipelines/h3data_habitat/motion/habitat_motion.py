@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError
 from h3data_habitat.motion.habitat_humanoid import HabitatClip, HabitatMotion, Hand, ReachGrid
 from h3data_habitat.safe_pickle import is_pickle, load_pickle
-from h3data_motion.npz_arrays import MAX_BYTES, npz_arrays
+from h3data_motion.amass import MAX_BYTES, npz_arrays
 
 HANDS: tuple[Hand, ...] = ("left", "right")
 

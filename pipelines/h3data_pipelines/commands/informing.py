@@ -151,16 +151,22 @@ def _moved_joints(recording: Recording) -> list[str] | None:
 
 
 def _walks(recording: Recording) -> list[str]:
-    """Return the lines about motion files that people walk by."""
+    """Return the lines about motion files by which people walk, or which they play as activities."""
     motions = recording.episode.info.get("motions")
     facts = motions.items() if isinstance(motions, dict) else ()
     known = [(file, fact) for file, fact in facts if isinstance(fact, dict)]
-    return [f"  walk     of {fact.get('name')} ({file}) {fact.get('source', '')}".rstrip() for file, fact in known]
+    # a model names activities by ``+dance=motion:`` and the digits of the file
+    models = " ".join(agent.model for agent in recording.agents)
+    acts = {file for file, _ in known if f"=motion:{file.removeprefix('motion_').removesuffix('.npz')}" in models}
+    return [
+        f"  {'activity' if file in acts else 'walk':<8} of {fact.get('name')} ({file}) {fact.get('source', '')}".rstrip()
+        for file, fact in known
+    ]
 
 
 def _players(recording: Recording) -> list[str]:
     """Return the lines about people who played live: messages, round trips, steps that were not played in time."""
-    from h3data.recording.live_input import live_inputs, remark_lines, slipped_steps
+    from h3data.recording.live_input import live_inputs, remark_lines
 
     lines = []
     for player in live_inputs(recording):
@@ -186,8 +192,16 @@ def _by_bot(recording: Recording) -> str:
     return f" ({', '.join(marks)})" if marks else ""
 
 
+def slipped_steps(recording: Recording) -> int:
+    """Return the steps of a live session that the server did not simulate in time."""
+    from h3data.recording.live_input import SLIP, payload_of
+
+    slips = (payload_of(event).get("steps") for event in recording.inputs if event.kind == SLIP)
+    return sum(steps for steps in slips if isinstance(steps, int))
+
+
 def _of_recording(recording: Recording) -> dict[str, Any]:
-    from h3data.recording.live_input import live_inputs, slipped_steps
+    from h3data.recording.live_input import live_inputs
 
     return {
         "kind": "recording",

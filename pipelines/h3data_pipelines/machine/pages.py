@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import tyro
 
-from h3data.builtin import pages_root
+from h3data.builtin import shipped
 from h3data.commands.command import JsonFlag, Outcome
 from h3data.errors import InputError, did_you_mean, suggest
 from h3data.terminal import aligned
@@ -122,7 +122,7 @@ _OF_SITE = ("index", "changes", "gallery")
 
 def _pages() -> dict[str, Path]:
     """Return the files of all pages by name: ``metrics``, ``tutorials/first-table``."""
-    root = pages_root()
+    root = shipped("_docs", "docs", "pages of the documentation")
     found = sorted(path for pattern in ("*.md", "tutorials/*.md") for path in root.glob(pattern))
     return {path.relative_to(root).with_suffix("").as_posix(): path for path in found if path.stem not in _OF_SITE}
 

@@ -9,7 +9,8 @@ from h3data.bodies import Humanoid, humanoid_names, load_humanoid
 from h3data.bodies.people.gestures import ARMS, BOTH, Gesture, lead_hands, lead_wrists
 from h3data.bodies.people.reach import hand_points, reach_poses
 from h3data.bodies.people.sitting import EARLY, TABLE, sitting_on, take_seats
-from h3data.geometry import IDENTITY_POSE, Array, minimum_jerk, quat_nlerp, smoothstep
+from h3data.geometry import IDENTITY_POSE, Array, quat_nlerp, smoothstep
+from h3data_crowds.chores import minimum_jerk
 
 BODIES = pytest.mark.parametrize("name", humanoid_names()[1::6])
 
@@ -20,7 +21,7 @@ def wrists_at(gesture: Gesture, seconds: Array) -> Array:
     for side, keys in enumerate((gesture.left, gesture.right)):
         at = (seconds / gesture.seconds % 1.0) * len(keys)
         k = np.minimum(at.astype(np.intp), len(keys) - 1)
-        share = minimum_jerk(at - k)[:, None]
+        share = minimum_jerk(np.asarray(at - k))[:, None]
         used = [key for key in keys if key is not None]
         places = np.array([[*(key or (used or [(0.6, -0.5, 0.0)])[0]), float(key is not None)] for key in keys])
         out[:, side] = (1 - share) * places[k] + share * places[(k + 1) % len(keys)]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from h3data.bodies import Robot, load_robot
-from h3data.bodies.robots.robot_loading import row_radius
 from h3data.geometry import IDENTITY_POSE
 from h3data_pipelines.cli import main
+from h3data_worlds.robot_guess import row_radius
 from h3data_worlds.shape_points import shape_points
 from tests.bodies.robots.cart_robot import write_cart
 

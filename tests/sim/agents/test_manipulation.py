@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from h3data.bodies import Robot, load_robot
 from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, quat_from_rotvec
+from h3data.geometry import IDENTITY_POSE, ground_pose, pose_from_matrix, pose_inverse, pose_multiply
 from h3data.scene import Asset, Box, Instance, Mesh, Scene
+from h3data_motion.amass import quat_from_rotvec
 from h3data_pipelines.machine.arm_contact import ArmContact, touch_events
 from sim_kinematic.agents import manipulation
 from sim_kinematic.agents.manipulation import carry_objects, grip_objects, move_arms, robot_hands

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from h3data.bodies import Robot, load_robot
-from h3data.bodies.robots.robot_loading import resting_bounds, row_radius
+from h3data.bodies.robots.robot_loading import resting_bounds
 from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE
 from h3data.scene import FreeSpace, Scene
 from h3data_homes import HomeSpec, build_home
+from h3data_worlds.robot_guess import row_radius
 from h3data_worlds.shape_points import shape_points
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.avoidance.robot_base import base_of, floor_of, footprint_of, hull_of

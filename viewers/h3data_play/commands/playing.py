@@ -162,9 +162,9 @@ class Play:
         if self.rules is not None:
             rules["rules"] = self.rules
         if self.motion is not None:
-            from h3data.bodies.names import walk_file
+            from h3data.bodies.names import JOIN, stored_name
 
-            walk_file(str(self.motion.resolve()))  # refuses what cannot be played
+            stored_name(f"{JOIN}{self.motion.resolve()}")  # refuses what cannot be played
         return {
             **({} if self.motion is None else {"motion": str(self.motion.resolve())}),
             **({"names": True} if self.names else {}),
