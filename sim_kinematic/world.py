@@ -149,14 +149,12 @@ class World:
         self._person_contact: PersonContact = person_contact
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
-        self.widths = tuple(
-            3 if isinstance(member.body, Robot) and rules.max_lateral_mps else 2
-            for member, rules in zip(self.roster, self.bases, strict=True)
-        )
+        driven = self.bases[: len(robots)]
+        self.widths = (*(3 if base.max_lateral_mps else 2 for base in driven), *[2] * people)
         """Number of values of each agent's velocity; 3 for a robot that can move sideways."""
-        self._discs = tuple(
-            (rules.disc_offsets_m, rules.disc_radius_m) if isinstance(member.body, Robot) else ((0.0,), person_radius_m)
-            for member, rules in zip(self.roster, self.bases, strict=True)
+        self._discs = (
+            *((base.disc_offsets_m, base.disc_radius_m) for base in driven),
+            *[((0.0,), person_radius_m)] * people,
         )
         state = WorldState.zeros(
             self.worlds,
@@ -242,7 +240,7 @@ class World:
         )
         for k, (member, own) in enumerate(zip(self.roster, fresh.agents, strict=True)):
             own.xz[:], own.heading[:] = starts[:, k, :2], starts[:, k, 2]
-            if isinstance(own, RobotState) and isinstance(member.body, Robot):
+            if isinstance(own, RobotState):
                 own.joints[:] = member.body.rest
         # the state one step ago too: agents at rest have no velocity in their first observation
         for state in (self.state, self.before, self.start):

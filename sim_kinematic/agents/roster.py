@@ -59,7 +59,6 @@ def make_roster(
         InputError: The list is empty, or an entry is unknown; the message lists the known names.
     """
     listed = agents.split(",") if isinstance(agents, str) else list(agents)
-    listed = [f"robot:{robot_name(one)}" if isinstance(one, Robot) else one for one in listed]
     listed = [name.strip() if isinstance(name, str) else name for name in listed]
     if not listed or listed == [""]:
         raise InputError(
@@ -72,9 +71,8 @@ def make_roster(
     for kind, model in sorted(parsed, key=lambda pair: pair[0] != "robot"):
         count[kind] += 1
         name = kind if total[kind] == 1 else f"{kind}_{count[kind]}"
-        model = model if kind == "robot" else _stored(model)
-        body = load_robot(model) if kind == "robot" else load_humanoid(model)
-        roster.append(AgentSpec(kind=kind, name=name, model=model, body=body))
+        load = {"robot": load_robot, "human": load_humanoid}[kind]
+        roster.append(AgentSpec(kind=kind, name=name, model=model, body=load(model)))
     return tuple(roster)
 
 
@@ -109,14 +107,16 @@ def _stored(model: str) -> str:
     return stored_name(with_body(model, HUMAN_BODY))
 
 
-def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
+def _kind_and_model(name: str | Robot, *, robot: str, human: str) -> tuple[Kind, str]:
+    if isinstance(name, Robot):
+        return "robot", robot_name(name)
     kind, colon, model = name.partition(":") if isinstance(name, str) else ("", "", "")
     if kind == "robot":
         return kind, model if colon else robot
     if kind == "human":
-        return kind, model if colon else human
+        return kind, _stored(model if colon else human)
     if is_person(str(name)):
-        return "human", name
+        return "human", _stored(name)
     if isinstance(name, str) and is_robot(name):
         return "robot", name
     known = ("robot", "human", *robot_names(), *humanoid_names())
@@ -174,7 +174,8 @@ def sample_places(
             is_free = all(np.hypot(*(xz - other)) >= distance for other in others)
             # one of the others is enough, as all of them are on one island
             is_free = is_free and (not others or bool(np.isfinite(free.geodesic(xz, others[0]))))
-            if is_free and (not isinstance(agent.body, Robot) or fits[id(agent.body)](xz, heading)):
+            test = fits.get(id(agent.body))
+            if is_free and (test is None or test(xz, heading)):
                 places[k] = np.append(xz, heading)
                 break
             attempts += 1

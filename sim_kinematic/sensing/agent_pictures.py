@@ -174,15 +174,10 @@ class AgentPictures:
 
 def _lens(body: Body, name: str, size: tuple[int, int] | None) -> Lens:
     """Return the lens of a named picture, with the size of its camera if none is given."""
-    if isinstance(body, Humanoid):
-        from sim_kinematic.sensing.camera_sensor import HEAD_SIZE
-
-        return Lens("", *(size or HEAD_SIZE))
-    mounted = [camera.name for camera in body.cameras]
     camera = PREFIX + (ARM if name in DETECTORS else name.removesuffix("_depth"))
-    if name in mounted:
+    if name in body.camera_names:
         camera = name
-    elif name.endswith("_rgb") and camera not in mounted:
+    elif name.endswith("_rgb") and camera not in body.camera_names:
         camera = camera.removesuffix("_rgb")
     own = body.camera(camera)
-    return Lens(camera, *(size or (own.width, own.height)))
+    return Lens(own.name, *(size or (own.width, own.height)))

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from h3data.bodies import Humanoid
 from h3data.errors import InputError
 from h3data.geometry import Array, quat_conjugate, quat_rotate, wrap_angle
 from h3data.kernels import kernel
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from h3data.scene import FreeSpace
 
 
-HUMAN_ID = 100
+HUMAN_ID = Humanoid.semantic_id
 """Semantic id of people, in Habitat and in h3data's recordings."""
 DETECTED_PIXELS = 1000
 """Number of pixels above which a person counts as detected in a picture, as in Habitat."""

@@ -139,7 +139,9 @@ class SocialNav(Task):
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
         """Return the maker of a learned policy or expert of the robot; None for other names."""
-        if kind == "robot" and is_learned(name):
+        if kind not in self.usage.named_kinds:
+            return None
+        if is_learned(name):
             network = network_of(name)
             if spec is not None:
                 with naming(name):
@@ -151,7 +153,7 @@ class SocialNav(Task):
                 return AssignedPolicy(FunctionPolicy(player, episode.bases[number]), stamped(name), kind)
 
             return learned
-        if kind == "robot" and name in EXPERTS:
+        if name in EXPERTS:
             return lambda episode, number: AssignedPolicy(
                 Maneuvering(POLICIES[name], episode.bases[number]), name, kind
             )
