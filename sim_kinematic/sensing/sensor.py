@@ -262,16 +262,6 @@ def egomotion(
     return stacked(xp, moved[..., 0], moved[..., 1], _turned(xp, before_heading, heading)) / dt
 
 
-def arm_joints(joints: ArrayLike, columns: tuple[int, ...]) -> Array:
-    """Return the positions of the arm's joints [..., n], selected from those of all joints [..., J]."""
-    return np.asarray(joints, np.float64)[..., list(columns)]
-
-
-def is_holding(held_by: ArrayLike, agent: int = 0) -> Array:
-    """Return 1 if an agent holds an object, else 0, [...], given the holders of all objects [..., O]."""
-    return (np.asarray(held_by) == agent).any(axis=-1).astype(np.float64)
-
-
 # --- the person in a picture --------------------------------------------------------------------------------------------
 class Detection(NamedTuple):
     """Output of the humanoid detector for pictures [..., H, W]."""
