@@ -37,6 +37,12 @@ class AgentSpec:
     """Name of a body, or a path to one, as `load_robot` and `load_humanoid` take it."""
     body: Body
 
+    @property
+    def robot(self) -> Robot:
+        """Body of an agent that is known to be a robot."""
+        assert isinstance(self.body, Robot), self.name
+        return self.body
+
 
 def common_floor(roster: Sequence[AgentSpec], free: FreeSpace) -> FreeSpace:
     """Return the map on which all agents of an episode can move: without stairs if an agent cannot climb them."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
+from h3data.bodies import Humanoid
 from h3data.errors import InputError
 from h3data.replay.cameras import MAX_SIDE_PX
 from sim_kinematic.contact.frames import Body
@@ -111,7 +111,7 @@ class AgentPictures:
             if n != LIDAR_3D
         }
         self._detects_from = 0
-        if set(DETECTORS) & set(self.names) and isinstance(body, Robot):
+        if set(DETECTORS) & set(self.names):
             arm = body.camera(PREFIX + ARM)
             lens = next(self._lenses[name] for name in self.names if name in DETECTORS)
             # a share of the picture: in a smaller picture a person shows fewer pixels

@@ -127,7 +127,7 @@ class SocialNav(Task):
                 code="H3-TASK-053",
             )
         free = common_floor(roster, free)
-        fits = robot_fits(roster[ROBOT].body, spec.robot, scene, free)  # type: ignore[arg-type]
+        fits = robot_fits(roster[ROBOT].robot, spec.robot, scene, free)
         starts = sample_pair_starts(free, seed, spec, fits=fits)
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts.places)
 

@@ -12,7 +12,6 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Robot
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
@@ -71,8 +70,7 @@ def draw_starts(
         any_spot: True if objects may also be picked at their goals and placed at their starts, for variety.
         rules: Rules of the skills.
     """
-    body = episode.roster[robot].body
-    assert isinstance(body, Robot)
+    body = episode.roster[robot].robot
     base = base_of(body, episode.spec.robot)
     floor = floor_of(body, base, episode.scene, episode.free)
     fits = robot_fits(body, episode.spec.robot, episode.scene, episode.free)
