@@ -164,7 +164,8 @@ def sample_places(
         SceneError: There is no room.
     """
     places = {k: np.asarray(place, np.float64) for k, place in (taken or {}).items()}
-    fits = {id(a.body): robot_fits(a.body, rules, scene, free) for a in roster if isinstance(a.body, Robot)}
+    robots = roster[: kinds_of(roster).count("robot")]
+    fits = {id(agent.body): robot_fits(agent.robot, rules, scene, free) for agent in robots}
     # least distance between two agents at the start [m]
     nearest_m = 1.0
     # places sampled for one agent before the distance to the others is halved, down to 1 m

@@ -169,8 +169,8 @@ class Household(Team):
         """
         world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
         if isinstance(body, Robot):
-            base, clearance = base_of(body, spec.robot), arm_clearance(world.scene, body, world.free.floor_y)
-            floor = floor_of(body, base, world.scene, world.free)
+            base, floor = world.bases[number], world.floor(number)
+            clearance = arm_clearance(world.scene, body, world.free.floor_y)
             if spec.oracle is not None:
                 return OracleRobot(
                     body,

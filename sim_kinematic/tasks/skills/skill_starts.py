@@ -16,7 +16,6 @@ from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
 from sim_kinematic.agents.stands import nearest_stand, robot_fits, robot_stands
-from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 
@@ -71,8 +70,7 @@ def draw_starts(
         rules: Rules of the skills.
     """
     body = episode.roster[robot].robot
-    base = base_of(body, episode.spec.robot)
-    floor = floor_of(body, base, episode.scene, episode.free)
+    base, floor = episode.bases[robot], episode.floor(robot)
     fits = robot_fits(body, episode.spec.robot, episode.scene, episode.free)
     clearance = arm_clearance(episode.scene, body, episode.free.floor_y)
     judged = rules or SkillSpec()
