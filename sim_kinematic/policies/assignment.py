@@ -291,8 +291,8 @@ def unknown_policy(task: Task, kind: str, name: str) -> InputError:
     there = [*policy_names(task, kind), *plugin_policies().names()]
     if name.startswith(PREFIX):  # tasks that take files of weights have read it by now
         return InputError(
-            f"Files of weights are no {ENTRIES[kind]} in {task.name}, got {name!r}. Expected one of: {', '.join(there)} "
-            "or module:name.",
+            f"In {task.name} a {ENTRIES[kind]} cannot be a file of weights, got {name!r}. Expected one of: "
+            f"{', '.join(there)} or module:name.",
             code="H3-POLICY-005",
         )
     return InputError(
