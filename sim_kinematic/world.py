@@ -22,14 +22,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
+from h3data.bodies import Humanoid
 from h3data.bodies.people.sitting import take_seats
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose, quat_conjugate, quat_rotate
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import draw_arms
-from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.agents.roster import AgentSpec, kinds_of
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.clearance import LYING_M, RobotHumanContact, clip_reach, robot_reach
@@ -146,16 +146,14 @@ class World:
         """Discs and limits of each agent's base; those of the rules for people."""
         self._person_radius_m, self._solid, self._finds_contact = person_radius_m, solid, contact
         self._person_contact: PersonContact = person_contact
-        robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
+        robots = [member.robot for member in self.roster[: kinds_of(self.roster).count("robot")]]
         people = len(self.roster) - len(robots)
-        self.widths = tuple(
-            3 if isinstance(member.body, Robot) and rules.max_lateral_mps else 2
-            for member, rules in zip(self.roster, self.bases, strict=True)
-        )
+        driven = self.bases[: len(robots)]
+        self.widths = (*(3 if base.max_lateral_mps else 2 for base in driven), *[2] * people)
         """Number of values of each agent's velocity; 3 for a robot that can move sideways."""
-        self._discs = tuple(
-            (rules.disc_offsets_m, rules.disc_radius_m) if isinstance(member.body, Robot) else ((0.0,), person_radius_m)
-            for member, rules in zip(self.roster, self.bases, strict=True)
+        self._discs = (
+            *((base.disc_offsets_m, base.disc_radius_m) for base in driven),
+            *[((0.0,), person_radius_m)] * people,
         )
         state = WorldState.zeros(
             self.worlds,
@@ -241,7 +239,7 @@ class World:
         )
         for k, (member, own) in enumerate(zip(self.roster, fresh.agents, strict=True)):
             own.xz[:], own.heading[:] = starts[:, k, :2], starts[:, k, 2]
-            if isinstance(own, RobotState) and isinstance(member.body, Robot):
+            if isinstance(own, RobotState):
                 own.joints[:] = member.body.rest
         # the state one step ago too: agents at rest have no velocity in their first observation
         for state in (self.state, self.before, self.start):
@@ -506,20 +504,16 @@ class _PairContacts:
         self._person_contact: PersonContact = person_contact
         # a robot that keeps its posture beside a person: posed together, as recorded
         # one for each two bodies, whoever has them
-        bodies = {
-            (id(a.body), id(b.body)): (a.body, b.body)
-            for a in roster
-            for b in roster
-            if isinstance(a.body, Robot) and isinstance(b.body, Humanoid)
-        }
+        count = kinds_of(roster).count("robot")
+        bodies = {(id(a.body), id(b.body)): (a.body, b.body) for a in roster[:count] for b in roster[count:]}
         kinds = {
             key: RobotHumanContact(*both, person_contact=person_contact)  # type: ignore[arg-type]
             for key, both in bodies.items()
         }
         self._of = [kinds.get((id(roster[a].body), id(roster[b].body))) for a, b in pairs]
         reach = [
-            robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body, person_contact)
-            for m in roster
+            *(robot_reach(member.robot, member.robot.rest) for member in roster[:count]),
+            *(clip_reach(member.body, person_contact) for member in roster[count:]),
         ]
         # 1 mm wider than the gate of `touching`, which asks by places rounded to float32
         gates = [

@@ -272,7 +272,7 @@ def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:
             code="H3-REPLAY-007",
         )
     model = replay.model(agent)
-    names = [link.name for link in model.links] if isinstance(model, Robot) else list(model.joint_names)
+    names = model.link_names
     if name not in names:
         raise InputError(f"Agent {label!r} has no link {name!r}. It has: {', '.join(names)}.", code="H3-REPLAY-008")
     number = names.index(name)

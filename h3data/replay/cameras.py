@@ -148,20 +148,14 @@ def _mounted(replay: Replay, name: str) -> CameraTrack | None:
     index, camera_name = carrier_of(replay, name), name.rpartition("/")[2]
     if index is None:
         return None
-    model = replay.model(index)
+    model, label = replay.model(index), name.replace("/", ".")
+    mounted = model.camera(camera_name)
+    camera = pinhole(mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=label, near=mounted.near_m)
     if isinstance(model, Robot):
-        mounted = model.camera(camera_name)
-        camera = pinhole(mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name.replace("/", "."))
-        poses = replay.link_track(index, mounted.link).astype(np.float64) @ mounted.pose
-        return CameraTrack(camera=camera, poses=poses)
-    camera = pinhole(640, 480, hfov_deg=90.0, name=name.replace("/", "."), near=HEAD_NEAR_M)
-    return CameraTrack(camera=camera, poses=link_frames(replay, index, "head") @ HEAD_POSE)
-
-
-HEAD_POSE = np.array([[-1.0, 0, 0, 0], [0, -1, 0, 0.07], [0, 0, 1, 0.07], [0, 0, 0, 1]])
-"""Pose of the camera in the frame of the joint ``head`` (z forward, y up, x left)."""
-HEAD_NEAR_M = 0.12
-"""Distance of the near plane, which cuts the person's own face away [m]."""
+        frames = replay.link_track(index, mounted.link).astype(np.float64)
+    else:
+        frames = link_frames(replay, index, model.link_names[mounted.link])
+    return CameraTrack(camera=camera, poses=frames @ mounted.pose)
 
 
 # --- from above ---------------------------------------------------------------------------------------------------------

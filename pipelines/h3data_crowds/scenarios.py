@@ -17,7 +17,7 @@ from h3data_crowds.cards import ALL, Card, Layout, PlaceKind, choose_cards, load
 from h3data_crowds.crowd_nav import CrowdNav, CrowdNavSpec
 from h3data_crowds.places import Frame, axes_of, build_plan, find_frame
 from h3data_crowds.scripted import ScriptedPerson
-from sim_kinematic.agents.roster import AgentSpec, common_floor
+from sim_kinematic.agents.roster import AgentSpec, common_floor, kinds_of
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.crowd.traits import sample_traits
 from sim_kinematic.motion.randomness import generator
@@ -129,8 +129,8 @@ class Scenarios(CrowdNav):
         rng = generator(seed, "scenario")
         name = names[int(rng.integers(len(names)))]
         card = load_cards()[name]
-        robots = [member for member in roster if member.kind == "robot"]
-        people = [member for member in roster if member.kind == "human"]
+        count = kinds_of(roster).count("robot")
+        robots, people = roster[:count], roster[count:]
         if not robots or len(people) < len(card.people):
             raise InputError(
                 f"The card {name} needs a robot and {len(card.people)} people, the roster has {len(robots)} and "
@@ -305,7 +305,7 @@ def _in_home(
     scene: Scene, free: FreeSpace, card: Card, rng: np.random.Generator, robot: AgentSpec, spec: ScenarioSpec
 ) -> tuple[Layout, Frame] | None:
     """Return a layout of a card and its frame on the floor of a home; None if it does not fit."""
-    fits = robot_fits(robot.body, spec.robot, scene, free)  # type: ignore[arg-type]
+    fits = robot_fits(robot.robot, spec.robot, scene, free)
     for _ in range(LAYOUTS):
         layout = sample_layout(card, rng)
         frame = find_frame(free, layout, card.place, rng)

@@ -18,6 +18,7 @@ from h3data.plugins import names_from_data
 from h3data.recording import read_mcap, write_mcap
 from h3data.scene import FreeSpace, Scene
 from h3data_remote.wire import PolicyServerError
+from sim_kinematic.agents.roster import kinds_of
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.policies.policy import Still
 from sim_kinematic.policies.views import AgentView, SocialNavView
@@ -99,7 +100,7 @@ def view_from_wire(fields: Any, episode: Episode, number: int) -> Any:
     }
     rules = {
         "free": episode.floor(number),
-        "bases": tuple(episode.bases[k] for k, member in enumerate(episode.roster) if member.kind == "robot"),
+        "bases": episode.bases[: kinds_of(episode.roster).count("robot")],
         "walker": episode.spec.human,
         "extra": episode.extra,
         # these reach into the world of the caller, which this process does not have

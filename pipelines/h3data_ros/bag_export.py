@@ -229,9 +229,9 @@ class _Export:
         self._times = [log_time(begin, t) for t in recording.columns["time_ns"].tolist()]
         kinds = [agent.kind for agent in recording.agents]
         names = safe_names([agent.name for agent in recording.agents], "agent")
-        robots = [k for k, kind in enumerate(kinds) if kind == "robot"]
+        robots, people = ([k for k, own in enumerate(kinds) if own == kind] for kind in ("robot", "human"))
         self._robots = [self._mover(k, names[k], f"{names[k]}/" if len(robots) > 1 else "") for k in robots]
-        self._people = [self._mover(k, names[k], None) for k, kind in enumerate(kinds) if kind != "robot"]
+        self._people = [self._mover(k, names[k], None) for k in people]
         self._camera_names = safe_names([view.camera.name for view in cameras], "camera")
         self._scene = load_scene(recording.attachments["scene.glb"]) if "scene.glb" in recording.attachments else None
         self._free = None if self._scene is None else self._floor(self._scene)

@@ -89,12 +89,13 @@ class GivingWay:
         self.bodies = [agent.body for agent in roster]
         self._capsules = [AgentCapsules(body) for body in self.bodies]
         # the gate allows for `quad_arm`; each agent has half of it, and a longer robot what it is longer
-        longer = [robot_span(body) - AVOIDANCE.contact_span_m if isinstance(body, Robot) else 0 for body in self.bodies]
-        self._reach_m = [AVOIDANCE.contact_gate_m / 2 + max(extra, 0.0) for extra in longer]
+        self._reach_m = [AVOIDANCE.contact_gate_m / 2 for _ in self.bodies]
         """Distance from its place within which an agent may touch others [m]."""
-        if in_clips:
-            people = {k: clip_reach(body) for k, body in enumerate(self.bodies) if not isinstance(body, Robot)}
-            self._reach_m = [min(people.get(k, reach), reach) for k, reach in enumerate(self._reach_m)]
+        for k, body in enumerate(self.bodies):
+            if isinstance(body, Robot):
+                self._reach_m[k] += max(robot_span(body) - AVOIDANCE.contact_span_m, 0.0)
+            elif in_clips:
+                self._reach_m[k] = min(clip_reach(body), self._reach_m[k])
         self._reaches = np.array(self._reach_m)
         self._asked: dict[tuple[int, int], tuple[tuple[Any, ...], bool]] = {}
         """Postures and roots of two agents when it was last asked whether they touch, and the answer."""

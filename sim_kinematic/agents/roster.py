@@ -37,6 +37,12 @@ class AgentSpec:
     """Name of a body, or a path to one, as `load_robot` and `load_humanoid` take it."""
     body: Body
 
+    @property
+    def robot(self) -> Robot:
+        """Body of an agent that is known to be a robot."""
+        assert isinstance(self.body, Robot), self.name
+        return self.body
+
 
 def common_floor(roster: Sequence[AgentSpec], free: FreeSpace) -> FreeSpace:
     """Return the map on which all agents of an episode can move: without stairs if an agent cannot climb them."""
@@ -59,7 +65,6 @@ def make_roster(
         InputError: The list is empty, or an entry is unknown; the message lists the known names.
     """
     listed = agents.split(",") if isinstance(agents, str) else list(agents)
-    listed = [f"robot:{robot_name(one)}" if isinstance(one, Robot) else one for one in listed]
     listed = [name.strip() if isinstance(name, str) else name for name in listed]
     if not listed or listed == [""]:
         raise InputError(
@@ -72,9 +77,8 @@ def make_roster(
     for kind, model in sorted(parsed, key=lambda pair: pair[0] != "robot"):
         count[kind] += 1
         name = kind if total[kind] == 1 else f"{kind}_{count[kind]}"
-        model = model if kind == "robot" else _stored(model)
-        body = load_robot(model) if kind == "robot" else load_humanoid(model)
-        roster.append(AgentSpec(kind=kind, name=name, model=model, body=body))
+        load = {"robot": load_robot, "human": load_humanoid}[kind]
+        roster.append(AgentSpec(kind=kind, name=name, model=model, body=load(model)))
     return tuple(roster)
 
 
@@ -109,14 +113,16 @@ def _stored(model: str) -> str:
     return stored_name(with_body(model, HUMAN_BODY))
 
 
-def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
+def _kind_and_model(name: str | Robot, *, robot: str, human: str) -> tuple[Kind, str]:
+    if isinstance(name, Robot):
+        return "robot", robot_name(name)
     kind, colon, model = name.partition(":") if isinstance(name, str) else ("", "", "")
     if kind == "robot":
         return kind, model if colon else robot
     if kind == "human":
-        return kind, model if colon else human
+        return kind, _stored(model if colon else human)
     if is_person(str(name)):
-        return "human", name
+        return "human", _stored(name)
     if isinstance(name, str) and is_robot(name):
         return "robot", name
     known = ("robot", "human", *robot_names(), *humanoid_names())
@@ -158,7 +164,8 @@ def sample_places(
         SceneError: There is no room.
     """
     places = {k: np.asarray(place, np.float64) for k, place in (taken or {}).items()}
-    fits = {id(a.body): robot_fits(a.body, rules, scene, free) for a in roster if isinstance(a.body, Robot)}
+    robots = roster[: kinds_of(roster).count("robot")]
+    fits = {id(agent.body): robot_fits(agent.robot, rules, scene, free) for agent in robots}
     # least distance between two agents at the start [m]
     nearest_m = 1.0
     # places sampled for one agent before the distance to the others is halved, down to 1 m
@@ -174,7 +181,8 @@ def sample_places(
             is_free = all(np.hypot(*(xz - other)) >= distance for other in others)
             # one of the others is enough, as all of them are on one island
             is_free = is_free and (not others or bool(np.isfinite(free.geodesic(xz, others[0]))))
-            if is_free and (not isinstance(agent.body, Robot) or fits[id(agent.body)](xz, heading)):
+            test = fits.get(id(agent.body))
+            if is_free and (test is None or test(xz, heading)):
                 places[k] = np.append(xz, heading)
                 break
             attempts += 1

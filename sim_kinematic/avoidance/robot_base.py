@@ -93,13 +93,14 @@ def carrying_base_of(robot: Robot, base: BaseSpec) -> BaseSpec:
     return replace(base, disc_offsets_m=(*base.disc_offsets_m, float(needed)))
 
 
-def floor_of(robot: Robot, base: BaseSpec, scene: Scene, free: FreeSpace) -> FreeSpace:
-    """Return the floor on which a robot finds its paths: ``free``, unless its base is wider than the agents' radius there.
+def floor_of(body: Humanoid | Robot, base: BaseSpec, scene: Scene, free: FreeSpace) -> FreeSpace:
+    """Return the floor on which an agent finds its paths: ``free``, unless a robot's base is wider than the radius there.
 
     Raises:
         SceneError: The base is so wide that it fits nowhere.
     """
-    return free if base.disc_radius_m <= free.radius_m else _wider_floor(robot, base.disc_radius_m, scene, free)
+    fits = isinstance(body, Humanoid) or base.disc_radius_m <= free.radius_m
+    return free if fits else _wider_floor(body, base.disc_radius_m, scene, free)
 
 
 @lru_cache(maxsize=16)

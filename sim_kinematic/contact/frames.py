@@ -26,9 +26,8 @@ def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:
     Raises:
         InputError: Their number or order differs.
     """
-    robots = sum(isinstance(body, Robot) for body in bodies)
-    fits = all(isinstance(body, Robot) == (k < robots) for k, body in enumerate(bodies))
-    if not fits or (robots, len(bodies) - robots) != (len(state.robots), len(state.people)):
+    kinds = [Robot] * len(state.robots) + [Humanoid] * len(state.people)
+    if [type(body) for body in bodies] != kinds:
         raise InputError(
             f"Expected the bodies of {len(state.robots)} robots, then of {len(state.people)} people, as in the state, got: "
             f"{', '.join(type(body).__name__ for body in bodies) or 'none'}.",

@@ -206,7 +206,7 @@ def make(
         "compile": compile,
     }
     # bodies become names, so that an environment can be pickled and made again by its recipe
-    if isinstance(robot, Robot):
+    if robot is not None:
         options["robot"] = robot_name(robot)
     # without None: an option that a task or device does not have is refused, whatever its value
     given = {name: value for name, value in {**options, **task_options}.items() if value is not None}

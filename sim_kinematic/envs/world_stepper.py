@@ -173,7 +173,7 @@ class WorldStepper:
             raise InputError(
                 f"Expected at least 1 world (num_envs), a whole number, got {worlds!r}.", code="H3-ENV-030"
             )
-        if self._is_low and not any(self._kind(k) == "robot" for k in self.numbers.values()):
+        if self._is_low and not any(map(self._driven, self.numbers.values())):
             raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.", code="H3-ENV-026")
         if not self._others and self._partner is not None:
             raise InputError(
@@ -205,6 +205,11 @@ class WorldStepper:
     def _objects(self) -> int:
         return self.spec.objects if self.task.control.has_skills else 1  # sensors of things say that there are none
 
+    def _driven(self, k: int) -> Robot | None:
+        """Return the robot whose base, arm and grip the actions of an agent move; None on the higher layer."""
+        body = self.source.roster[k].body
+        return body if self._is_low and isinstance(body, Robot) else None
+
     @property
     def _is_low(self) -> bool:
         return self._task_options.get("level") == "low"
@@ -235,10 +240,9 @@ class WorldStepper:
         number = self.numbers[agent]
         if not self.task.control.has_skills:
             return gymnasium.spaces.Box(-1.0, 1.0, (self.play.world.widths[number],), np.float32)
-        body = self.source.roster[number].body
-        if self._is_low and isinstance(body, Robot):
-            return gymnasium.spaces.Box(-1.0, 1.0, (len(body.require_arm()) + 3,), np.float32)
-        known = choices(self._objects, robot=isinstance(body, Robot), parts=tuple(range(self.spec.parts)))
+        if robot := self._driven(number):
+            return gymnasium.spaces.Box(-1.0, 1.0, (len(robot.require_arm()) + 3,), np.float32)
+        known = choices(self._objects, robot=self._kind(number) == "robot", parts=tuple(range(self.spec.parts)))
         return gymnasium.spaces.Discrete(len(known))
 
     # --- episodes -----------------------------------------------------------------------------------------------------
@@ -355,10 +359,10 @@ class WorldStepper:
         """Return the choice that a row of actions [1, ...] encodes; an `Action` is returned unchanged."""
         if isinstance(action, Action):
             return action
-        body, there = self.source.roster[number].body, play.team.choices(number)
-        if self._is_low and isinstance(body, Robot):
+        there = play.team.choices(number)
+        if robot := self._driven(number):
             row = np.asarray(action, object)
-            return Action(CONTROL, command=tuple(checked_command(row[0] if row.ndim else action, body).tolist()))
+            return Action(CONTROL, command=tuple(checked_command(row[0] if row.ndim else action, robot).tolist()))
         given = np.asarray(action)
         # `int` would also take 1.5 and True, which are the numbers of no choice
         if given.shape != (1,) or given.dtype.kind not in "iu" or not 0 <= given[0] < len(there):

@@ -113,6 +113,8 @@ PolicyChoice = str | Policy | External | AssignedPolicy | Callable[..., Any]
 Assigned = Mapping[str, Any]
 """Policies by agent or kind, each a `PolicyChoice` or a sequence with one choice for each agent of a kind."""
 KINDS = {"robot": "robot", "human": "human", "person": "human"}
+ENTRIES = {"robot": "policy", "human": "partner"}
+"""Option of a command, and entry of a recording's info, that names the policies of a kind of agent."""
 
 
 @cache
@@ -183,9 +185,8 @@ def each_of(choice: Any, count: int, kind: str) -> list[Any]:
     if len(listed) == 1 and (isinstance(listed[0], str) or count == 1 or isinstance(listed[0], External)):
         listed *= max(count, 1)
     if count and len(listed) != count:
-        what, whose = ("policy", "robot") if kind == "robot" else ("partner", "person")
         raise InputError(
-            f"Expected one {what} for each {whose}, {count} in all, or one name for all; got {len(listed)}.",
+            f"Expected one {ENTRIES[kind]} for each {kind}, {count} in all, or one name for all; got {len(listed)}.",
             code="H3-POLICY-004",
         )
     return listed[:count]
@@ -290,14 +291,13 @@ def unknown_policy(task: Task, kind: str, name: str) -> InputError:
     """Return the error for a policy name that is unknown for a kind of agent in a task, with the valid names."""
     there = [*policy_names(task, kind), *plugin_policies().names()]
     if name.startswith(PREFIX):  # tasks that take files of weights have read it by now
-        whose = "robots" if kind == "robot" else "people"
         return InputError(
-            f"Files of weights are not for {whose} of {task.name}, got {name!r}. Expected one of: {', '.join(there)} or "
-            "module:name.",
+            f"In {task.name} a {ENTRIES[kind]} cannot be a file of weights, got {name!r}. Expected one of: "
+            f"{', '.join(there)} or module:name.",
             code="H3-POLICY-005",
         )
     return InputError(
-        f"Unknown {'policy' if kind == 'robot' else 'partner'} {name!r}."
+        f"Unknown {ENTRIES[kind]} {name!r}."
         f"{suggest(name, there, more=', weights:FILE, module:name or ws://host:port')}{weights_hint(name)}",
         code="H3-POLICY-002",
     )

@@ -26,7 +26,7 @@ HINT = "Hint: h3data train writes one, or sim_kinematic.policies.network.save_ne
 RUN_POLICY = "policy.npz"
 """Name of the policy file in the folder of a training run."""
 PLANES = ".planes"
-"""Suffix of the name of a float32 array that is stored as planes of its bytes (`to_planes`)."""
+"""Suffix of the name of a float32 array that is stored as planes of its bytes (`from_planes`)."""
 MAX_BYTES = 256 << 20
 """Total size of arrays above which a file is refused [bytes]."""
 Activation = Literal["tanh", "relu"]
@@ -288,18 +288,8 @@ def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
     return _word(data.get("format", np.array("another npz file"))), data
 
 
-def to_planes(array: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the bytes of an array [...] as planes, uint8 [4, ...]: first bytes of all numbers, then second bytes.
-
-    They compress better, by a fifth where the last bits are 0.
-    """
-    # little-endian on every machine, as the planes go into files
-    planes = np.moveaxis(np.ascontiguousarray(array, "<f4")[..., None].view(np.uint8), -1, 0)
-    return np.ascontiguousarray(planes)
-
-
 def from_planes(planes: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return the float32 array [...] that `to_planes` converted to ``planes``.
+    """Return the float32 array [...] in planes of bytes [4, ...]: first bytes of all numbers, then second bytes.
 
     Raises:
         ValueError: The array is not uint8 [4, ...].

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
+from h3data.bodies import Humanoid
 from h3data.errors import InputError
 from h3data.replay.cameras import MAX_SIDE_PX
 from sim_kinematic.contact.frames import Body
@@ -111,7 +111,7 @@ class AgentPictures:
             if n != LIDAR_3D
         }
         self._detects_from = 0
-        if set(DETECTORS) & set(self.names) and isinstance(body, Robot):
+        if set(DETECTORS) & set(self.names):
             arm = body.camera(PREFIX + ARM)
             lens = next(self._lenses[name] for name in self.names if name in DETECTORS)
             # a share of the picture: in a smaller picture a person shows fewer pixels
@@ -174,15 +174,10 @@ class AgentPictures:
 
 def _lens(body: Body, name: str, size: tuple[int, int] | None) -> Lens:
     """Return the lens of a named picture, with the size of its camera if none is given."""
-    if isinstance(body, Humanoid):
-        from sim_kinematic.sensing.camera_sensor import HEAD_SIZE
-
-        return Lens("", *(size or HEAD_SIZE))
-    mounted = [camera.name for camera in body.cameras]
     camera = PREFIX + (ARM if name in DETECTORS else name.removesuffix("_depth"))
-    if name in mounted:
+    if name in body.camera_names:
         camera = name
-    elif name.endswith("_rgb") and camera not in mounted:
+    elif name.endswith("_rgb") and camera not in body.camera_names:
         camera = camera.removesuffix("_rgb")
     own = body.camera(camera)
-    return Lens(camera, *(size or (own.width, own.height)))
+    return Lens(own.name, *(size or (own.width, own.height)))

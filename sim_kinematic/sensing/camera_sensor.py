@@ -13,8 +13,10 @@ pictures = arm.observe(drawn)  # {"depth": [16, 171, 224], "semantic": ...}
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -28,21 +30,16 @@ from h3data.render import Camera, Light, Output, Renderer, RenderInstance, Rende
 from h3data.render.light.sources import BAKERS, LightMode, sources_of
 from h3data.render.raster.hulls import may_see
 from h3data.render.renderer import Backend
-from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE
 from h3data.replay.shadow_casters import ShadowCasters, shadow_casters
 from h3data.scene import Mesh, Scene, Shape
 from h3data.scene.records import Capsule, Instance, instance_matrix
 from sim_kinematic.contact.frames import Body, Floor, body_frames, body_shapes, require_bodies, shape_frames
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.lidar import COLUMNS, ELEVATION_DEG, LASERS, SCAN_M
-from sim_kinematic.sensing.sensor import HUMAN_ID, scaled_depth
+from sim_kinematic.sensing.sensor import scaled_depth
 
 LIDARS: Registry[Any] = Registry("h3data.lidars", {}, what="lidar")
 """Makers of laser scanners for a scene, such as `h3data_rays.LidarScanner`, by name."""
-ROBOT_ID = 200
-"""Semantic id of robots in h3data's recordings."""
-HEAD_SIZE, HEAD_HFOV_DEG = (640, 480), 90.0
-"""Size [pixels] and horizontal field of view [degrees] of the camera between a person's eyes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +50,8 @@ class _Drawn:
     instances: list[int]
     meshes: list[int]
     """Full and light mesh of a person, of which each world shows one; in the style ``bones``, one mesh per capsule."""
+    moved: Callable[[Array], Array] | None
+    """Function from the agent's `body_frames` to matrices of the instances [W, n, 4, 4]; None for a skinned person."""
 
 
 class StateRenderer:
@@ -174,15 +173,17 @@ class StateRenderer:
         return len(self._instances) - 1
 
     def _add_agent(self, body: Body) -> _Drawn:
+        moved: Callable[[Array], Array] | None = None
         if isinstance(body, Robot):
             parts = [(link.mesh, f"robot/{link.name}") for link in body.links if link.mesh is not None]
+            moved = itemgetter((slice(None), [k for k, link in enumerate(body.links) if link.mesh is not None]))
+        elif self._skinned:
+            parts = [(mesh, "human") for mesh in (body.mesh, body.lod_mesh)]
         else:
-            own = [body.mesh, body.lod_mesh] if self._skinned else capsule_meshes(body_shapes(body))
-            parts = [(mesh, "human") for mesh in own]
-        semantic_id = ROBOT_ID if isinstance(body, Robot) else HUMAN_ID
+            parts, moved = [(mesh, "human") for mesh in capsule_meshes(body_shapes(body))], partial(shape_frames, body)
         meshes = [self._mesh(mesh) for mesh, _ in parts]
         named = zip(meshes, parts, strict=True)
-        return _Drawn(body, [self._add(k, name, semantic_id=semantic_id) for k, (_, name) in named], meshes)
+        return _Drawn(body, [self._add(k, name, semantic_id=body.semantic_id) for k, (_, name) in named], meshes, moved)
 
     # --- posing -----------------------------------------------------------------------------------------------------------
     def pose(self, state: WorldState, *, floor: Floor = 0.0, frames: Sequence[Array] | None = None) -> None:
@@ -207,12 +208,9 @@ class StateRenderer:
             self.renderer.set_transforms(self._objects, objects[w], world=w)
         self._rigid, self._is_shaded = [(self._objects, objects)], False
         for drawn, own in zip(self._agents, frames, strict=True):
-            if isinstance(drawn.body, Robot):
-                rigid = own[:, [k for k, link in enumerate(drawn.body.links) if link.mesh is not None]]
-            elif self._skinned:
+            if drawn.moved is None:
                 continue  # later, when pictures are taken: the distance of the cameras decides on the mesh
-            else:
-                rigid = shape_frames(drawn.body, own)
+            rigid = drawn.moved(own)
             for w in range(self.worlds):
                 self.renderer.set_transforms(drawn.instances, rigid[w], world=w)
             self._rigid.append((drawn.instances, rigid))
@@ -239,16 +237,9 @@ class StateRenderer:
         camera's own; the field of view does not change.
         """
         frames, body = self._posed(agent), self._agents[agent].body
-        if isinstance(body, Robot):
-            mounted = body.camera(name)
-            camera = pinhole(mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name)
-            poses = body.camera_poses(name, frames)
-        else:
-            camera = pinhole(*HEAD_SIZE, hfov_deg=HEAD_HFOV_DEG, name=body.camera_names[0], near=HEAD_NEAR_M)
-            poses = frames[:, body.joint_names.index("head")] @ HEAD_POSE
-        if size is not None:
-            camera = pinhole(*size, hfov_deg=camera.hfov_deg, name=camera.name, near=camera.near)
-        return [camera.at(pose) for pose in poses]
+        own = body.camera(name)
+        camera = pinhole(*size or (own.width, own.height), hfov_deg=own.hfov_deg, name=own.name, near=own.near_m)
+        return [camera.at(pose) for pose in body.camera_poses(name, frames)]
 
     def picture(self, cameras: Sequence[Camera], outputs: Sequence[Output]) -> dict[str, Any]:
         """Render N cameras per world and return arrays by the name of the output, each [N * W, H, W', ...].

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from h3data.bodies import Humanoid
 from h3data.errors import InputError
 from h3data.geometry import Array, quat_conjugate, quat_rotate, wrap_angle
 from h3data.kernels import kernel
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from h3data.scene import FreeSpace
 
 
-HUMAN_ID = 100
+HUMAN_ID = Humanoid.semantic_id
 """Semantic id of people, in Habitat and in h3data's recordings."""
 DETECTED_PIXELS = 1000
 """Number of pixels above which a person counts as detected in a picture, as in Habitat."""
@@ -259,16 +260,6 @@ def egomotion(
     # by the old heading, along which `integrate` moves, so that a turn adds no part to the left
     moved = in_base_frame(before_xz, before_heading, xz, xp=xp)
     return stacked(xp, moved[..., 0], moved[..., 1], _turned(xp, before_heading, heading)) / dt
-
-
-def arm_joints(joints: ArrayLike, columns: tuple[int, ...]) -> Array:
-    """Return the positions of the arm's joints [..., n], selected from those of all joints [..., J]."""
-    return np.asarray(joints, np.float64)[..., list(columns)]
-
-
-def is_holding(held_by: ArrayLike, agent: int = 0) -> Array:
-    """Return 1 if an agent holds an object, else 0, [...], given the holders of all objects [..., O]."""
-    return (np.asarray(held_by) == agent).any(axis=-1).astype(np.float64)
 
 
 # --- the person in a picture --------------------------------------------------------------------------------------------

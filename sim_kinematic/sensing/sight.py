@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Robot
-from h3data.geometry import IDENTITY_POSE, pose_to_matrix
+from h3data.geometry import pose_to_matrix
 from h3data.kernels import kernel
 from h3data.scene import Scene, instance_matrix
 from h3data.scene.articulation import joints_of
@@ -35,7 +34,7 @@ LOOK_STEPS = 6
 MARGIN_M = 0.04
 """Distance from a point within which furniture does not hide it, because the thing stands on or lies in that furniture
 [m]."""
-MOVED_M, ABOVE_M, EYE_SHARE = 0.1, 0.08, 0.936
+MOVED_M, ABOVE_M = 0.1, 0.08
 """Distance of a thing from where it was seen beyond which it has been moved [m]; height above the surface of a place at which
 agents look at it [m]; height of a person's eyes as a share of their stature (Drillis and Contini 1966)."""
 
@@ -92,7 +91,7 @@ class Sight:
         points = [(instance_matrix(i) @ np.append(r.center, 1.0))[:3] for i, r in surfaces]
         self.points = np.array(points, np.float64).reshape(-1, 3) + np.array([0.0, ABOVE_M, 0.0])
         self._joints = [joints.enclosing.get(name, ()) for name in self.names]
-        self._eyes = np.array([floor_y + eye_height(body) for body in bodies])
+        self._eyes = np.array([floor_y + body.eye_height_m for body in bodies])
         self.known = np.zeros((len(bodies), things), np.bool_)
         """True if an agent knows the place of a thing, [A, K]."""
         self.where = np.full((len(bodies), things, 3), np.nan)
@@ -195,14 +194,6 @@ def _see(eye, heading, points, things, turned, centers, halves, bounds, seen):
             if enters < leaves and not about:
                 seen[n] = False
                 break
-
-
-def eye_height(body: Body) -> float:
-    """Return the height of an agent's eyes [m]: a robot's highest camera at rest, or else the top of its body."""
-    if not isinstance(body, Robot):
-        return EYE_SHARE * body.height_m
-    links = body.link_matrices(IDENTITY_POSE[None], body.rest[None])
-    return max((float(body.camera_poses(c.name, links)[0, 1, 3]) for c in body.cameras), default=body.body_height_m)
 
 
 def surface_names(scene: Scene) -> tuple[str, ...]:

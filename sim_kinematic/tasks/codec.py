@@ -27,7 +27,7 @@ from h3data.recording.task_episodes.stored_episodes import Start, StoredEpisode,
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.sources import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster, with_motion
-from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.assignment import ENTRIES, AssignedPolicy
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
 from sim_kinematic.tasks.play import WorldRollout
 
@@ -177,7 +177,7 @@ class EpisodeCodec(Generic[R]):
     def policy_names(self, recording: Recording) -> list[str]:
         """Return the name of each agent's policy, as recorded."""
         info, names = recording.episode.info, []
-        for kind, entry in (("robot", "policy"), ("human", "partner")):
+        for kind, entry in ENTRIES.items():
             count = sum(agent.kind == kind for agent in recording.agents)
             listed = str(info.get(entry) or self.task.defaults[kind]).split(",")
             # a single name stands for all agents of the kind
@@ -186,6 +186,11 @@ class EpisodeCodec(Generic[R]):
 
     def check_changes(self, recording: Recording, chosen: Mapping[str, Any]) -> None:
         """Raise an `InputError` if a recording cannot be continued with the policies ``chosen``; by default it can."""
+
+
+def policy_entries(policies: Sequence[AssignedPolicy]) -> dict[str, str]:
+    """Return the entries of a recording's info that name the policies of robots and of people."""
+    return {entry: ",".join(p.name for p in policies if p.kind == kind) for kind, entry in ENTRIES.items()}
 
 
 class TaskRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -266,10 +271,8 @@ class TaskCodec(EpisodeCodec[TaskRecord]):
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """Return the policies, rules, starts and `Episode.extra` for a recording's info."""
-        names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
         info: dict[str, Any] = {
-            "policy": names["robot"],
-            "partner": names["human"],
+            **policy_entries(policies),
             "max_steps": episode.spec.max_steps,
             "spec": rules_dict(episode.spec),
             "starts": episode.starts.tolist(),

@@ -185,26 +185,21 @@ class Control:
 
     def recorded_agent(self, member: AgentSpec, episode: Episode, *, is_external: bool) -> Agent:
         """Return the entry of an agent in a recording, with the skills that it has in this episode."""
-        body, skills = member.body, self.skills.get(member.kind, ())
+        body = member.body
         if isinstance(body, Robot):
-            return Agent(
-                name=member.name,
-                kind="robot",
-                model=f"robot/{member.model}",
-                semantic_id=200,
-                joint_names=tuple(body.joint_names),
-                action_names=("forward", "turn_left"),
-                skill_names=skills,
-            )
+            moves: dict[str, tuple[str, ...]] = {
+                "joint_names": tuple(body.joint_names),
+                "action_names": ("forward", "turn_left"),
+            }
+        else:  # people with skills are recorded joint by joint, so they have no clips to name
+            moves = {"motion_names": () if self.has_skills else body.motion_names}
         return Agent(
             name=member.name,
-            kind="human",
-            model=f"humanoid/{member.model}",
-            # Habitat's id of people, whose pixels its detector counts
-            semantic_id=100,
-            # people with skills are recorded joint by joint, so they have no clips to name
-            motion_names=tuple(clip.name for clip in body.clips) if not self.has_skills else (),
-            skill_names=skills,
+            kind=member.kind,
+            model=f"{body.model_prefix}{member.model}",
+            semantic_id=body.semantic_id,
+            skill_names=self.skills.get(member.kind, ()),
+            **moves,
         )
 
     def needed_columns(self, recording: Recording) -> list[str]:
@@ -688,4 +683,4 @@ class MotionTeam(Team):
 
 def resting_arm(body: Humanoid | Robot) -> Array:
     """Return the resting positions of a robot's arm joints, [n] [rad or m]; empty [0] for other bodies."""
-    return body.rest[list(body.arm_columns)].astype(np.float64) if isinstance(body, Robot) else np.zeros(0)
+    return body.rest[list(body.arm_columns)].astype(np.float64)

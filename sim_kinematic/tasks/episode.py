@@ -11,7 +11,6 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Robot
 from h3data.errors import InputError, SceneError, suggest
 from h3data.geometry import Array
 from h3data.recording import Event
@@ -74,8 +73,7 @@ class Episode:
 
     def floor(self, agent: int) -> FreeSpace:
         """Return the floor on which an agent finds its paths, without places too narrow for it."""
-        body = self.roster[agent].body
-        return floor_of(body, self.bases[agent], self.scene, self.free) if isinstance(body, Robot) else self.free
+        return floor_of(self.roster[agent].body, self.bases[agent], self.scene, self.free)
 
     @property
     def moving(self) -> dict[str, Array]:

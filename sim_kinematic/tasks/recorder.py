@@ -31,7 +31,7 @@ from h3data.recording import Episode as EpisodeRecord
 from h3data.recording.assets.scenes import categories_of, scene_attachment, scene_records
 from h3data.recording.records import agent_numbers
 from h3data.recording.scans import scan_column
-from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.agents.roster import AgentSpec, kinds_of
 from sim_kinematic.agents.skills import CONTROL, Action
 from sim_kinematic.crowd.errands import HandWork
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, works
@@ -466,10 +466,10 @@ def describe(
         if own and REFERENCE.fullmatch(own) and not own.startswith("__main__:"):
             # its code runs already, so this process may also load it by the name in the recording
             trust(own.partition(":")[0])
-    robots = {member.model for member in episode.roster if member.kind == "robot"}
-    if digests := {model: digest for model in sorted(robots) if (digest := robot_digest(model))}:
+    models, count = [member.model for member in episode.roster], kinds_of(episode.roster).count("robot")
+    robots, people = sorted(set(models[:count])), models[count:]
+    if digests := {model: digest for model in robots if (digest := robot_digest(model))}:
         info["robots_sha256"] = digests
-    people = [member.model for member in episode.roster if member.kind == "human"]
     walks: dict[str, bytes] = {}
     if any(JOIN in model for model in people):
         walks, info["motions"] = walk_attachments(people), walk_facts(people)

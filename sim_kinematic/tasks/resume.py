@@ -18,7 +18,7 @@ from h3data.plugins import names_from_data
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
 from h3data.recording.records import JOINTS, agent_numbers
 from h3data.replay.recorded_robots import check_recorded_robots
-from sim_kinematic.policies.assignment import KINDS, AssignedPolicy, each_of, make_policy
+from sim_kinematic.policies.assignment import ENTRIES, KINDS, AssignedPolicy, each_of, make_policy
 from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
@@ -307,7 +307,7 @@ def assigned_policies(
                 raise
             # people on their tracks ask no policy, so theirs may be missing
             if strict and not (keeps_people and member.kind == "human"):
-                entry = "policy" if member.kind == "robot" else "partner"
+                entry = ENTRIES[member.kind]
                 raise InputError(
                     f"The recording's own {entry} is not at hand; name one with {entry}=. {fault}", code="H3-TASK-040"
                 ) from None

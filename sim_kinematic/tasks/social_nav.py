@@ -127,7 +127,7 @@ class SocialNav(Task):
                 code="H3-TASK-053",
             )
         free = common_floor(roster, free)
-        fits = robot_fits(roster[ROBOT].body, spec.robot, scene, free)  # type: ignore[arg-type]
+        fits = robot_fits(roster[ROBOT].robot, spec.robot, scene, free)
         starts = sample_pair_starts(free, seed, spec, fits=fits)
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts.places)
 
@@ -139,7 +139,9 @@ class SocialNav(Task):
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, kind: str, name: str, spec: Any) -> PolicyMaker | None:
         """Return the maker of a learned policy or expert of the robot; None for other names."""
-        if kind == "robot" and is_learned(name):
+        if kind not in self.usage.named_kinds:
+            return None
+        if is_learned(name):
             network = network_of(name)
             if spec is not None:
                 with naming(name):
@@ -151,7 +153,7 @@ class SocialNav(Task):
                 return AssignedPolicy(FunctionPolicy(player, episode.bases[number]), stamped(name), kind)
 
             return learned
-        if kind == "robot" and name in EXPERTS:
+        if name in EXPERTS:
             return lambda episode, number: AssignedPolicy(
                 Maneuvering(POLICIES[name], episode.bases[number]), name, kind
             )

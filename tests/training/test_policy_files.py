@@ -278,7 +278,7 @@ def test_a_policy_that_is_named_wrongly_is_told_its_name(
     for task, policy, expected in (
         ("rearrange", "end_to_end", "these are for 'social_nav'. Policy: end_to_end"),
         ("social_nav", "plan_pop_3_robot", "these are for 'rearrange'. Policy: plan_pop_3_robot"),
-        ("wander", f"weights:{run / 'policy.npz'}", "Files of weights are not for robots of wander"),
+        ("wander", f"weights:{run / 'policy.npz'}", "In wander a policy cannot be a file of weights"),
         ("social_nav", str(run / "policy.npz"), f"Hint: weights:{run / 'policy.npz'}"),
         ("social_nav", f"weights:{run}", f"the folder of a training run. Hint: weights:{run / 'policy.npz'}"),
     ):

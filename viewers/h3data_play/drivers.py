@@ -7,6 +7,7 @@ continues after a crash.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -279,16 +280,25 @@ class SkillDriver(Driver):
 
     def door_before(self, point: Array) -> int:
         """Return the closed door between the agent and the places from which it could reach a point [3] [m], or -1."""
-        team = self.session.play.team
-        actor = team.actors[self.number]
-        return team.door_before(actor, partial(actor.stands_on, point=point))
+        return self._door_before(partial(self.session.play.team.actors[self.number].stands_on, point=point))
+
+    def _door_before(self, stands: Callable[[FreeSpace], Array]) -> int:
+        """Return the first closed door that blocks all poses ``stands`` [N, 3] on a given floor, or -1 if none does."""
+        team, episode = self.session.play.team, self.session.episode
+        if team.openables is None or not episode.spec.floor_moves:
+            return -1
+        positions = team.openables.positions
+        if not team.doorways.any_closed(positions):
+            return -1
+        # any detour will do here: only a place without a path is blocked
+        return team.doorways.first(team.actors[self.number].xz, stands, team.floor, positions, detour_m=np.inf)
 
     def go(self, xz: Any, heading: float | None = None) -> str:
         """Walk or drive to a floor point, unless a closed door is in between."""
         team = self.session.play.team
         spot = team.doorways.open_floor.snap(xz, max_distance_m=FLOOR_SNAP_M)
         place = np.array([[*spot, 0.0]])[np.isfinite(spot).all(keepdims=True)]
-        if team.door_before(team.actors[self.number], lambda _: place) >= 0:
+        if self._door_before(lambda _: place) >= 0:
             return DOOR_SHUT
         return super().go(xz, heading)
 

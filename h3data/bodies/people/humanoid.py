@@ -28,7 +28,7 @@ from h3data.bodies.people.clips import (
     pose_at_speed,
     sample_clips,
 )
-from h3data.bodies.people.skeleton import HALF_JOINTS, JOINT_COUNT, JOINT_NAMES, PARENT_ARRAY, PARENTS
+from h3data.bodies.people.skeleton import HALF_JOINTS, JOINT_COUNT, JOINT_INDEX, JOINT_NAMES, PARENT_ARRAY, PARENTS
 from h3data.bodies.people.skinning import (
     FEW_FRAMES,
     Influences,
@@ -41,6 +41,7 @@ from h3data.bodies.people.skinning import (
     skin_chunks,
     with_half_joints,
 )
+from h3data.bodies.robots.robot import RobotCamera
 from h3data.geometry import Array, normalized
 from h3data.mesh.mesh import Mesh
 
@@ -50,6 +51,17 @@ if TYPE_CHECKING:
 BONE_BOX_M, BONE_PAD_M, BONE_PAD_PART = 0.02, 0.02, 1 / 25
 """Width of Habitat's collision boxes along bones [m], and the distance from joints at which the boxes end [m]
 (spec/habitat.md 1.6)."""
+
+HEAD_CAMERA = RobotCamera(
+    name="human_head",
+    link=JOINT_INDEX["head"],
+    pose=np.array([[-1.0, 0, 0, 0], [0, -1, 0, 0.07], [0, 0, 1, 0.07], [0, 0, 0, 1]]),
+    width=640,
+    height=480,
+    hfov_deg=90.0,
+    near_m=0.12,
+)
+"""Camera between the eyes of a person, in the frame of the joint ``head`` (z forward, y up, x left)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,12 +138,42 @@ class Humanoid:
     """Shape parameters from which the body was generated."""
     acts: Mapping[str, Any] = field(default_factory=dict)
     """Motions of files that the body can play, by name of the activity (`h3data_motion.acts.Act`)."""
-    camera_names: ClassVar[tuple[str, ...]] = ("human_head",)
+    camera_names: ClassVar[tuple[str, ...]] = (HEAD_CAMERA.name,)
     """Names of the cameras of the body: one between the eyes that looks in the direction of the head."""
     climbs_stairs: ClassVar[bool] = True
     """Ability to climb stairs: always True for people, unlike for robots."""
     climbing_length_m: ClassVar[float] = 0.0
     """Length over which the body pitches on stairs [m]: always 0, because people, unlike robots, stay upright."""
+    rest: ClassVar[Array] = np.zeros(0)
+    """Positions of moving joints at rest: none, because people move by clips and postures."""
+    arm_columns: ClassVar[tuple[int, ...]] = ()
+    """Columns of `rest` that move the hand: none."""
+    semantic_id: ClassVar[int] = 100
+    """Semantic id of people in recordings, which is Habitat's, whose detector counts their pixels."""
+    model_prefix: ClassVar[str] = "humanoid/"
+    """Text before the name of the body in `h3data.recording.Agent.model`."""
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of the links of the skeleton, which are those of the joints."""
+        return self.joint_names
+
+    @property
+    def eye_height_m(self) -> float:
+        """Height of the eyes above the floor [m]."""
+        return 0.936 * self.height_m
+
+    def require_arm(self) -> tuple[int, ...]:
+        """Return `arm_columns`; every person has arms, whatever the number of moving joints."""
+        return self.arm_columns
+
+    def camera(self, name: str) -> RobotCamera:
+        """Return the only camera of a person, between the eyes, whatever its ``name``."""
+        return HEAD_CAMERA
+
+    def camera_poses(self, name: str, joint_matrices: Array) -> Array:
+        """Return the poses of the camera (OpenCV) in the world, [T, 4, 4], from the result of `joint_matrices`."""
+        return joint_matrices[:, HEAD_CAMERA.link] @ HEAD_CAMERA.pose
 
     @property
     def mesh(self) -> Mesh:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,7 +42,7 @@ class RobotLink:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotCamera:
-    """Camera that is fixed to a link and provides both colour and depth.
+    """Camera that is fixed to a link of a robot, or to a person's head, and provides both colour and depth.
 
     A pair of an RGB and a depth camera is one such camera.
     """
@@ -54,6 +54,8 @@ class RobotCamera:
     width: int
     height: int
     hfov_deg: float
+    near_m: float = 0.0
+    """Distance of the near plane [m], which cuts a person's own face away."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,6 +139,17 @@ class Robot:
     """Factors by which links follow joint positions, shape [L]: a link moves by gain * position + offset (URDF
     mimic)."""
     offsets: NDArray[np.float64]
+    semantic_id: ClassVar[int] = 200
+    """Semantic id of robots in h3data's recordings."""
+    model_prefix: ClassVar[str] = "robot/"
+    """Text before the name of the body in `h3data.recording.Agent.model`."""
+
+    @cached_property
+    def eye_height_m(self) -> float:
+        """Height of the eyes above the floor [m]: of the highest camera at rest, or of the body if there is none."""
+        links = self.link_matrices(IDENTITY_POSE[None], self.rest[None])
+        poses = [self.camera_poses(name, links) for name in self.camera_names]
+        return max((float(pose[0, 1, 3]) for pose in poses), default=self.body_height_m)
 
     @cached_property
     def climbing_length_m(self) -> float:

@@ -133,11 +133,11 @@ def stairs_sheet(scene: Scene) -> NDArray[np.uint8]:
                 kind = f"{member.kind} {'up' if up else 'down'}"
                 if kind in found or kind == "robot down":
                     continue
-                count, every = (8, 6) if member.kind == "human" else (6, 8)
+                count, every, size, wide, aim = {
+                    "human": (8, 6, (WIDTH // 8, 340), 1.4, 0.8),
+                    "robot": (6, 8, (WIDTH // 6, 300), 1.9, 0.35),
+                }[member.kind]
                 start = first + max(0, (last - first - count * every) // 2)
-                size, wide, aim = ((WIDTH // 8, 340), 1.4, 0.8)
-                if member.kind == "robot":
-                    size, wide, aim = ((WIDTH // 6, 300), 1.9, 0.35)
                 steps = range(start, start + count * every, every)
                 found[kind] = film(replay, agent, steps, size=size, wide_m=wide, aim_m=aim)
         if len(found) == 3:

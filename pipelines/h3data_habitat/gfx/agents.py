@@ -74,17 +74,15 @@ def add_agents(
     bodies = list(bodies)
     agents, infos = [], []
     columns: dict[str, NDArray[Any]] = {}
-    robots = sum(group.kind == "robot" for group in groups)
-    for index, group in enumerate(groups):
-        alone = (robots if group.kind == "robot" else len(groups) - robots) == 1
-        name = group.kind if alone else f"{group.kind}_{index if group.kind == 'robot' else index - robots}"
+    names = agent_names([group.kind for group in groups])
+    for index, (name, group) in enumerate(zip(names, groups, strict=True)):
         root, info = _root(group, [uris[bodies[b].asset] for b in group.bodies], bodies)
         track = (roots or {}).get(bodies[root].name)
         track = _track(bodies[root], object_pose, steps) if track is None else track.astype(np.float64)
-        height = HUMAN_ROOT_HEIGHT_M if group.kind == "human" else _base_height(group.model) or 0.0
-        columns[f"agent_{index}.base_pose"] = _base_pose(
-            track, forward=2 if group.kind == "human" else 0, height=height
-        )
+        height, forward = _base_height(group.model) or 0.0, 0
+        if group.kind == "human":
+            height, forward = HUMAN_ROOT_HEIGHT_M, 2
+        columns[f"agent_{index}.base_pose"] = _base_pose(track, forward=forward, height=height)
         agents.append(Agent(name=name, kind=group.kind, semantic_id=bodies[root].semantic_id))
         infos.append(AgentInfo({"name": name, "base_height_m": height, **info.record}, info.warnings))
         for b in group.bodies:
@@ -94,6 +92,11 @@ def add_agents(
         robot, human = (columns[f"agent_{i}.base_pose"][:, :3].astype(np.float64) for i in (0, 1))
         columns["metrics.dist_agents"] = np.linalg.norm(robot - human, axis=1).astype(np.float32)
     return agents, bodies, columns, infos
+
+
+def agent_names(kinds: Sequence[Kind]) -> list[str]:
+    """Return the names of agents: their kinds, numbered from 0 where there are several of a kind."""
+    return [kind if kinds.count(kind) == 1 else f"{kind}_{kinds[:k].count(kind)}" for k, kind in enumerate(kinds)]
 
 
 def person_roots(

@@ -17,6 +17,7 @@ from h3data.bodies import load_humanoid, load_robot
 from h3data.bodies.people.skeleton import HUMAN_ROOT_HEIGHT_M, JOINT_NAMES
 from h3data.geometry import Array, ground_pose, quat_rotate, quat_sign_continuous
 from h3data.recording.records import Agent
+from h3data_habitat.gfx.agents import agent_names
 from h3data_habitat.motion.habitat_humanoid import HABITAT_JOINTS
 from h3data_motion.walk_synthesis import (
     SYNTHETIC_BODY,
@@ -94,9 +95,7 @@ def add_agents(
     columns: dict[str, NDArray[Any]] = {}
     notes: list[dict[str, Any]] = []
     floors = [t.roots[:, 1] - _ROBOTS[robot][1] for t, kind in zip(tracks, kinds, strict=True) if kind == "robot"]
-    for index, (track, kind) in enumerate(zip(tracks, kinds, strict=True)):
-        # numbered only where there are several, as our own tasks name them
-        name = kind if list(kinds).count(kind) == 1 else f"{kind}_{list(kinds[:index]).count(kind)}"
+    for index, (name, track, kind) in enumerate(zip(agent_names(kinds), tracks, kinds, strict=True)):
         if kind == "robot":
             agent, more, note = _robot(name, track, robot)
         elif track.joints is not None and track.base is not None:

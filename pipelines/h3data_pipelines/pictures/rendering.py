@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from h3data.render.overlay import Color
     from h3data.replay.stage import FrameBackend
 
-ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
+AGENT_COLORS: dict[str, Color] = {"robot": (255, 176, 32), "human": (64, 150, 255)}
 TRAJECTORY_STRIDE = 6
 """Number of steps between the points of a trajectory in a picture (0.2 s)."""
 DEPTH_RANGE_M = (0.0, 10.0)
@@ -174,7 +174,7 @@ def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTra
         base = base[np.isfinite(base).all(-1)]
         if not len(base):
             continue
-        color = ROBOT_COLOR if agent.kind == "robot" else HUMAN_COLOR
+        color = AGENT_COLORS[agent.kind]
         line = base[::TRAJECTORY_STRIDE] + np.array([0.0, 0.03, 0.0])
         draw_polyline(image, camera, np.concatenate([line, base[-1:]]), color=color, thickness=2)
         above = base[-1] - camera.pose[:3, 1] * 0.55  # the camera's y axis points down in the image

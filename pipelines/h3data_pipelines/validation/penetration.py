@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
+from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.recording import Recording
@@ -168,7 +168,7 @@ def _supports(recording: Recording, agent: int, steps: NDArray[np.intp], scenery
 def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Scenery) -> Penetration:
     body = replay.model(number)
     if isinstance(body, Robot):
-        frames = replay.link_matrices(number, steps).astype(np.float64)
+        frames, lift_m = replay.link_matrices(number, steps).astype(np.float64), FLOOR_M
         parts = tuple(link.name for link in body.links)
         of_part = np.array([k for k, link in enumerate(body.links) for _ in link.shapes])
         arm = np.isin(np.arange(len(parts)), arm_links(body)) if body.hand_link >= 0 else np.zeros(len(parts), np.bool_)
@@ -177,12 +177,14 @@ def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Sc
         )
         reaching &= body.hand_link >= 0
     else:
-        frames = replay.joint_matrices(number, steps)
+        frames, lift_m = replay.joint_matrices(number, steps), 0.0
         parts = tuple(capsule.name for capsule in body.capsules)
         of_part = np.arange(len(parts))
         arm = np.array([name.endswith(("upper_arm", "forearm", "hand")) for name in parts])
         reaching = np.array([name.endswith(("forearm", "hand")) for name in parts])
-    depth, thing = scenery.depths(body_shapes(body), _lifted(shape_frames(body, frames), body))
+    shapes = np.array(shape_frames(body, frames), np.float64)
+    shapes[..., 1, 3] += lift_m
+    depth, thing = scenery.depths(body_shapes(body), shapes)
     depth, thing = _deepest(depth, thing, of_part, len(parts))
     held_depth, held_thing = _held(replay, number, steps, scenery)
     depth, thing = np.column_stack([depth, held_depth]), np.column_stack([thing, held_thing])
@@ -206,13 +208,6 @@ def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Sc
         thing=thing,
         intended=intended,
     )
-
-
-def _lifted(frames: NDArray[np.floating], body: Robot | Humanoid) -> NDArray[np.float64]:
-    frames = np.array(frames, np.float64)
-    if isinstance(body, Robot):
-        frames[..., 1, 3] += FLOOR_M
-    return frames
 
 
 def _deepest(

@@ -216,7 +216,7 @@ class RearrangeTorchEnv(TorchEnv[Play]):
         from sim_kinematic.envs.stepper import gymnasium
 
         spaces: dict[str, Space[Any]] = {
-            agent: gymnasium.spaces.Discrete(len(self.sim.choices(agent))) for agent in self.agents
+            agent: gymnasium.spaces.Discrete(len(self.sim.choices[agent])) for agent in self.agents
         }
         return gymnasium.spaces.Dict(spaces) if len(spaces) > 1 else spaces[self.agents[0]]
 

@@ -86,7 +86,7 @@ class TensorSkillPolicy:
         first = jobs[0].networks[names[0]]  # learners of one agent differ in their weights only
         self._hold, self._observations, self._sees = first.card.hold, first.card.observations, bool(first.sees)
         assert len(self._names) == 1 or not self._sees, "the robot alone sees"
-        shape = steps, len(names), len(self._sim.choices(self._agent))
+        shape = steps, len(names), len(self._sim.choices[self._agent])
         noise = torch.rand(shape, generator=generator, device=device)
         if not self._arrays:
             self._offered = torch.as_tensor(first.offered, device=device)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Robot
 from h3data.errors import SceneError
 from h3data.files import part_file
 from h3data.scene import FreeSpace, Scene
@@ -93,8 +92,7 @@ def _opened(settings: SkillSettings, name: str) -> tuple[Home, tuple[AgentSpec, 
     rules = RearrangeSpec()
     home = Home(named.source, rules.agent_radius_m, rules.agent_height_m)
     roster = make_roster(Rearrange.agents, robot=settings.robot, human=settings.human)
-    body = roster[0].body
-    assert isinstance(body, Robot)
+    body = roster[0].robot
     floor = floor_of(body, base_of(body, rules.robot), home.scene, home.free)
     _ = floor.lattice  # built at first use
     return home, roster, floor

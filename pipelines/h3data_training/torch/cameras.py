@@ -17,14 +17,12 @@ from h3data.progress import progress
 from h3data.render import Light, Output, RenderInstance, RenderScene, pinhole
 from h3data.render.light.sources import BAKERS, LightMode, check_light, sources_of
 from h3data.render.sheets.scene_map import render_scene
-from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE
 from h3data.scene import Mesh, Scene
 from h3data_training.torch.cycle import WalkingCycle
 from h3data_training.torch.graph import fused
 from h3data_training.torch.state import HumanTensors, RobotTensors
 from sim_kinematic.motion.spec import WalkerSpec
-from sim_kinematic.sensing.camera_sensor import HEAD_HFOV_DEG, ROBOT_ID, recorded_matrix
-from sim_kinematic.sensing.sensor import HUMAN_ID
+from sim_kinematic.sensing.camera_sensor import recorded_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -101,7 +99,8 @@ class TensorCameras:
             for view, camera in mounted.items()
         }
         if HUMAN in self.views:
-            self._lenses[HUMAN] = pinhole(width, height, hfov_deg=HEAD_HFOV_DEG, name="human_head", near=HEAD_NEAR_M)
+            own = human.camera(HUMAN)
+            self._lenses[HUMAN] = pinhole(width, height, hfov_deg=own.hfov_deg, name=own.name, near=own.near_m)
         focal = max(lens.fx for lens in self._lenses.values())
         low = human.light_enough(focal, NEAREST_M)
         stages, lamps = zip(*_stages(homes, robot, human, low_detail=low, light=light), strict=True)
@@ -123,7 +122,7 @@ class TensorCameras:
         self._robot, self._links = on_device([*(rest[n] for n in links), *eyes]), len(links)
         self._cycle = WalkingCycle.of(human, walker)
         joints = human.skin_frames(self._cycle.joint_matrices())
-        head = joints[:, human.joint_names.index("head")] @ HEAD_POSE
+        head = human.camera_poses(HUMAN, joints)
         self._person = on_device(np.concatenate([joints, head[:, None]], 1))
         self._frames = fused(self._frames_of) if compile else self._frames_of
         self._cast: Callable[..., tuple[Tensor, Tensor]] | None = None
@@ -199,7 +198,7 @@ def _stages(
         meshes, instances, links = with_robot(scene, robot)
         person, lit = len(meshes), None
         meshes.append(worn)
-        instances.append(RenderInstance(person, np.eye(4), semantic_id=HUMAN_ID, name="human"))
+        instances.append(RenderInstance(person, np.eye(4), semantic_id=Humanoid.semantic_id, name="human"))
         if light == "baked":
             lit = lit_home(scene, meshes, instances, range(links.start))
             meshes, instances = lit.meshes, lit.instances
@@ -240,7 +239,7 @@ def with_robot(scene: Scene, robot: Robot) -> tuple[list[Mesh], list[RenderInsta
     first, ids = len(home.instances), {i.name: i.semantic_id for i in scene.instances}
     instances = [replace(i, semantic_id=ids[i.name]) for i in home.instances]
     instances += [
-        RenderInstance(len(home.meshes) + k, np.eye(4), semantic_id=ROBOT_ID, name=link.name)
+        RenderInstance(len(home.meshes) + k, np.eye(4), semantic_id=Robot.semantic_id, name=link.name)
         for k, link in enumerate(links)
     ]
     meshes = [*home.meshes, *(link.mesh for link in links if link.mesh is not None)]

@@ -24,9 +24,10 @@ ON_DEVICES = (*FOLLOWER, *LIDARS)
 class SocialNavTensors(TaskTensors):
     """W worlds of social navigation.
 
-    The memory has four entries: ``found`` (whether the robot has found the person in this episode), ``followed`` (the
+    The memory has five entries: ``found`` (whether the robot has found the person in this episode), ``followed`` (the
     number of steps in which it followed them), ``geodesic`` (the distance along the path [W] [m], infinite if there is
-    no path), and ``towards`` (its initial direction (x, z) [W, 2]).
+    no path), ``towards`` (its initial direction (x, z) [W, 2]), and ``distance`` (the distance that the reward counts
+    [W] [m]).
     """
 
     def __init__(self, bank: EpisodeBank, **options: Any) -> None:
@@ -36,18 +37,26 @@ class SocialNavTensors(TaskTensors):
 
     def _begun(self, play: Play) -> dict[str, Tensor]:
         way, steps = super().path_to_person(play), torch.zeros_like(play.steps)
-        return {"found": steps > 0, "followed": steps, "geodesic": way.length, "towards": way.towards}
+        distance = torch.full_like(way.length, torch.nan)
+        return {
+            "found": steps > 0,
+            "followed": steps,
+            "geodesic": way.length,
+            "towards": way.towards,
+            "distance": distance,
+        }
 
     def _judged(self, now: Play, fresh: Tensor) -> tuple[StepOutcome, dict[str, Tensor]]:
         """Return the outcome by the paper's reward (`sim_kinematic.tasks.rules.rewards.SocialNavReward`)."""
         rules, before, memory = self.spec, now.memory, self._begun(now)
         faces, length = facing(now.robot.xz, now.robot.heading, now.human.xz, xp=torch), memory["geodesic"]
-        was = _distance(before["geodesic"], now.human_before_xz - now.before_xz)
-        distance = _distance(length, now.human.xz - now.robot.xz)
-        reward, followed, success = self.paper.of(distance, was, faces, before["followed"], rules, xp=torch)
+        gap = now.human.xz - now.robot.xz
+        reward, followed, success, distance = self.paper.of(
+            length, torch.hypot(gap[:, 0], gap[:, 1]), before["distance"], faces, before["followed"], rules, xp=torch
+        )
         ends = now.collides if rules.end_on_collision else torch.zeros_like(now.collides)
         found = ~fresh & (before["found"] | is_found(length, faces, rules))
-        memory |= {"found": found, "followed": torch.where(fresh, 0, followed)}
+        memory |= {"found": found, "followed": torch.where(fresh, 0, followed), "distance": distance}
         return StepOutcome(reward=reward, terminated=ends, success=success), memory  # type: ignore[arg-type]
 
     def succeeded(self, play: Play) -> Tensor:
@@ -57,8 +66,3 @@ class SocialNavTensors(TaskTensors):
     def path_to_person(self, play: Play) -> ShortestPath:
         """Return the known shortest paths from robots to people."""
         return ShortestPath(play.memory["geodesic"], play.memory["towards"])
-
-
-def _distance(geodesic: Tensor, gap: Tensor) -> Tensor:
-    """Return the length of the shortest path, or the straight distance where there is none, [W] [m]."""
-    return torch.where(geodesic.isfinite(), geodesic, torch.hypot(gap[:, 0], gap[:, 1]))

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import msgspec
 import numpy as np
 
-from h3data.bodies import Robot, load_humanoid, load_robot
+from h3data.bodies import load_humanoid, load_robot
 from h3data.bodies.names import split_walk
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_rotate
@@ -47,6 +47,7 @@ from sim_kinematic.tasks.codec import (
     EpisodePlace,
     SceneAndMap,
     malformed_info,
+    policy_entries,
     read_rules,
     recorded_roster,
     require_info,
@@ -162,8 +163,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         roster = make_roster(place.agents or PAIR, robot=pair[0], human=pair[1])
         # the pair's robot too, even if it does not play: places and starts are sampled by its reach
         for body in (robot, *(member.body for member in roster)):
-            if isinstance(body, Robot):
-                body.require_arm()
+            body.require_arm()
         scene, targets = self._furnished(record, place)
         if not record.rules:
             spec = rules_in(scene, spec)
@@ -309,10 +309,9 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         """Return policies, rules, starts, objects and goals for the recording's info."""
         assert isinstance(episode, RearrangeEpisode)
         return {
-            "policy": _robots_policy(policies),
-            "partner": (partner := _partners(policies)),
+            **(names := _policy_entries(policies)),
             "partner_plan": ",".join(p.plan for p in policies if p.plan),
-            "population": population_of(partner),
+            "population": population_of(names["partner"]),
             "max_steps": episode.spec.max_steps,
             "spec": rules_to_json(episode.spec),
             **({"skills": episode.spec.skills} if episode.spec.skills else {}),
@@ -328,7 +327,7 @@ class RearrangeCodec(EpisodeCodec[StoredRearrangement]):
         """
         assert isinstance(episode, RearrangeEpisode)
         digest, kinds = scene_attachment(episode.scene)[1], kinds_of(episode.roster)
-        policy, partner, (robot, human) = _robots_policy(policies), _partners(policies), episode.pair
+        (policy, partner), (robot, human) = _policy_entries(policies).values(), episode.pair
         what = f"{self.task.name}:{digest}:{robot}:{human}:{episode.seed}:{policy}:{partner}:{episode.spec}"
         # the bodies of a pair are named already, and the policy solo marks a person alone
         if kinds not in (PAIR, ("human",)):
@@ -507,14 +506,10 @@ def spoken(name: str) -> str:
     return re.sub(r"^(\d+ )+|( \d+)+$", "", " ".join(words)) or ("" if digest.search(instance) else instance)
 
 
-def _robots_policy(policies: Sequence[AssignedPolicy]) -> str:
-    """Return names of the robots' policies; `SOLO` for a person alone, and nothing for several people."""
+def _policy_entries(policies: Sequence[AssignedPolicy]) -> dict[str, str]:
+    """Return `policy_entries`; the policy is `SOLO` for a person alone."""
     alone = [policy.kind for policy in policies] == ["human"]
-    return SOLO if alone else ",".join(policy.name for policy in policies if policy.kind == "robot")
-
-
-def _partners(policies: Sequence[AssignedPolicy]) -> str:
-    return ",".join(policy.name for policy in policies if policy.kind == "human")
+    return policy_entries(policies) | ({"policy": SOLO} if alone else {})
 
 
 def _starts(episode: RearrangeEpisode) -> dict[str, list[Any]]:

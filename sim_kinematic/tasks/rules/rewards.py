@@ -85,21 +85,33 @@ class PaperReward:
     follow_steps: int = 400
 
     def of(
-        self, distance: Any, before: Any, faces: Any, followed: Any, rules: SocialNavSpec, *, xp: Any = np
-    ) -> tuple[Any, Any, Any]:
+        self,
+        geodesic: Any,
+        straight: Any,
+        before: Any,
+        faces: Any,
+        followed: Any,
+        rules: SocialNavSpec,
+        *,
+        xp: Any = np,
+    ) -> tuple[Any, Any, Any, Any]:
         """Compute the reward of a step, from arrays or tensors [W].
 
         Args:
-            distance: distance between robot and person after the step [m].
-            before: distance between robot and person before the step [m].
+            geodesic: length of the shortest path between robot and person after the step [m]; infinite if there is none.
+            straight: straight distance between them [m], which counts then.
+            before: distance before the step, as this function returns it; NaN in the first step.
             faces: `facing` of the robot towards the person after the step.
             followed: number of earlier steps in which the person was followed.
             rules: distances and angle at which the robot follows.
             xp: array namespace.
 
         Returns:
-            The reward; the steps in which the person has been followed now; whether these are enough.
+            The reward; the steps in which the person has been followed now; whether these are enough; the distance [m].
         """
+        distance = xp.where(xp.isfinite(geodesic), geodesic, straight)
+        # in the first step there is no change of distance to pay
+        before = xp.where(xp.isnan(before), distance, before)
         # the paper counts 1 m itself as too near and 2 m as right; Habitat's interval is half-open the other way
         near = distance <= rules.near_m
         kept = (distance <= rules.far_m) & ~near
@@ -109,7 +121,7 @@ class PaperReward:
         reward = xp.where(kept, self.kept, xp.where(near, distance - before, before - distance)) + self.slack
         reward = reward + self.facing * xp.where(distance <= self.facing_within_m, faces, 0.0)
         # once, where Habitat pays it in every later step again
-        return reward + self.success * (success & (followed < self.follow_steps)), count, success
+        return reward + self.success * (success & (followed < self.follow_steps)), count, success, distance
 
 
 class SocialNavReward:
@@ -175,18 +187,11 @@ class SocialNavReward:
         straight = np.hypot(gap[:, 0], gap[:, 1])
         geodesic = _each(np.asarray(seen.geodesic, np.float64), straight.shape)
         collides = _each(np.asarray(seen.collides, np.bool_), straight.shape)
-        return (self._step_paper if self.profile == "paper" else self._step_habitat)(
-            seen, faces, straight, geodesic, collides
+        if self.profile == "habitat":
+            return self._step_habitat(seen, faces, straight, geodesic, collides)
+        reward, self.followed[:], success, self._distance[:] = self.paper.of(
+            geodesic, straight, self._distance, faces, self.followed, self.rules
         )
-
-    def _step_paper(
-        self, seen: Encounter, faces: NDArray, straight: NDArray, geodesic: NDArray, collides: NDArray
-    ) -> RewardStep:
-        distance = np.where(np.isfinite(geodesic), geodesic, straight)
-        # in the first step there is no change of distance to pay
-        before = np.where(np.isnan(self._distance), distance, self._distance)
-        reward, self.followed[:], success = self.paper.of(distance, before, faces, self.followed, self.rules)
-        self._distance[:] = distance
         return RewardStep(reward, success, collides & self.rules.end_on_collision)
 
     def _step_habitat(

@@ -56,8 +56,7 @@ class SkillControl(Control):
     def check_roster(self, roster: Sequence[AgentSpec]) -> None:
         """Raise an `InputError` if a robot of the roster has no arm."""
         for agent in roster:
-            if isinstance(agent.body, Robot):
-                agent.body.require_arm()
+            agent.body.require_arm()
 
     def team(self, play: Any) -> Household:
         """Return the agents and things of one world."""
@@ -71,21 +70,20 @@ class SkillControl(Control):
             InputError: The choice is malformed or names an object or skill that does not exist.
         """
         body = play.episode.roster[number].body
+        robot = body if isinstance(body, Robot) else None
         if not isinstance(choice, Action):
-            choice = (
-                _robot_action(choice, body) if isinstance(body, Robot) else action_of(choice, play.team.objects, number)
-            )
+            choice = _robot_action(choice, robot) if robot else action_of(choice, play.team.objects, number)
         elif not isinstance(choice.target, int | np.integer):
             raise InputError(
                 f"Expected the number of an object or a joint as the target, got {choice!r}.", code="H3-TASK-084"
             )
-        elif choice.skill in (*SKILLS, *OPENING_SKILLS) or isinstance(body, Robot):
+        elif choice.skill in (*SKILLS, *OPENING_SKILLS) or robot:
             # only for its check: it raises if there is no such skill, object or joint
             play.team.objects.why_not(number, choice)
         if isinstance(choice.command, Message):
             choice.command.check([member.name for member in play.episode.roster])
-        if choice.skill == CONTROL and isinstance(body, Robot):
-            checked_command(choice.command, body)  # type: ignore[arg-type]
+        if choice.skill == CONTROL and robot:
+            checked_command(choice.command, robot)  # type: ignore[arg-type]
         return choice
 
     def accepted(self, play: Any, number: int, choice: Any) -> Action:

@@ -21,7 +21,7 @@ from h3data.kernels.entries import Entries
 from h3data.recording import Event
 from h3data.recording.log_lines import SAY
 from h3data.recording.records import JOINTS
-from h3data.scene import FreeSpace, Scene
+from h3data.scene import Scene
 from h3data.scene.articulation import AJAR, joint_names, joints_of
 from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
@@ -171,8 +171,8 @@ class Household(Team):
         """
         world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
         if isinstance(body, Robot):
-            base, clearance = base_of(body, spec.robot), arm_clearance(world.scene, body, world.free.floor_y)
-            floor = floor_of(body, base, world.scene, world.free)
+            base, floor = world.bases[number], world.floor(number)
+            clearance = arm_clearance(world.scene, body, world.free.floor_y)
             if spec.oracle is not None:
                 return OracleRobot(
                     body,
@@ -550,24 +550,6 @@ class Household(Team):
             door = nearer
             nearer = first(actor.xz, partial(actor.stands_on, point=handles[door]))
         return door
-
-    def door_before(self, actor: AnyActor, stands: Callable[[FreeSpace], Array]) -> int:
-        """Return the first closed door between rooms that blocks all poses from which an agent could act.
-
-        Args:
-            actor: the agent.
-            stands: poses ``(x, z, heading)`` [N, 3] on a given floor from which the agent could act.
-
-        Returns:
-            The door's number; -1 if the agent can get to one of the poses, or if no door blocks them.
-        """
-        if self.objects.openables is None or not self.episode.spec.floor_moves:
-            return -1
-        positions = self.objects.openables.positions
-        if not self.doorways.any_closed(positions):
-            return -1
-        # any detour will do here: only a place without a path is blocked
-        return self.doorways.first(actor.xz, stands, self.floor, positions, detour_m=np.inf)
 
     def _at_goal(self) -> NDArray[np.bool_]:
         """Return which objects are at their goals and in nobody's hand, [K]."""

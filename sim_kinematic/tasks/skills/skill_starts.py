@@ -12,12 +12,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Robot
 from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.robots.arm_clearance import arm_clearance
 from sim_kinematic.agents.stands import nearest_stand, robot_fits, robot_stands
-from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 
@@ -71,10 +69,8 @@ def draw_starts(
         any_spot: True if objects may also be picked at their goals and placed at their starts, for variety.
         rules: Rules of the skills.
     """
-    body = episode.roster[robot].body
-    assert isinstance(body, Robot)
-    base = base_of(body, episode.spec.robot)
-    floor = floor_of(body, base, episode.scene, episode.free)
+    body = episode.roster[robot].robot
+    base, floor = episode.bases[robot], episode.floor(robot)
     fits = robot_fits(body, episode.spec.robot, episode.scene, episode.free)
     clearance = arm_clearance(episode.scene, body, episode.free.floor_y)
     judged = rules or SkillSpec()

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bake.people.look.drafts import canonical, pack_faces
 from h3data.bodies import Humanoid, humanoid_names, load_humanoid
 from h3data.bodies.people.humanoid_file import ADULTS, FILE_FORMAT, read_arrays
 from h3data.bodies.people.look.colors import PAINTS, SLOTS, Complexion
 from h3data.bodies.people.look.dressing import Look, read_look
-from h3data.bodies.people.look.patches import canonical, pack_faces, unpack_faces
+from h3data.bodies.people.look.patches import unpack_faces
 from h3data.bodies.people.look.wardrobe import HAIRSTYLES, OUTFITS, builtin_wardrobe, split_outfit
 from h3data.bodies.people.reach import reach
 from h3data.bodies.people.skeleton import JOINT_INDEX

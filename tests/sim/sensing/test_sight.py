@@ -16,7 +16,7 @@ from h3data.geometry import heading_direction
 from h3data.scene.articulation import joints_of
 from sim_kinematic.agents.skills import SEARCH, Action
 from sim_kinematic.policies.assignment import External
-from sim_kinematic.sensing.sight import MARGIN_M, NEAR_M, PLACE_M, THING_M, Boxes, Sight, eye_height, surface_names
+from sim_kinematic.sensing.sight import MARGIN_M, NEAR_M, PLACE_M, THING_M, Boxes, Sight, surface_names
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import Rearrange
 from sim_kinematic.tasks.recorder import simulate
@@ -60,10 +60,10 @@ def test_rays_agree_with_points_along_them() -> None:
 
 
 def test_robots_see_from_their_highest_camera_and_people_from_their_eyes() -> None:
-    assert eye_height(load_robot("quad_arm")) == pytest.approx(0.86, abs=0.01)
-    assert eye_height(load_robot("lift_arm")) == pytest.approx(1.36, abs=0.01)
-    assert eye_height(replace(load_robot("quad_arm"), cameras=())) == load_robot("quad_arm").body_height_m
-    assert eye_height(load_humanoid("child_0")) < 1.3 < eye_height(load_humanoid("female_0")) < 1.65
+    assert load_robot("quad_arm").eye_height_m == pytest.approx(0.86, abs=0.01)
+    assert load_robot("lift_arm").eye_height_m == pytest.approx(1.36, abs=0.01)
+    assert replace(load_robot("quad_arm"), cameras=()).eye_height_m == load_robot("quad_arm").body_height_m
+    assert load_humanoid("child_0").eye_height_m < 1.3 < load_humanoid("female_0").eye_height_m < 1.65
 
 
 def test_agents_see_what_is_before_them_and_not_what_is_far_or_behind() -> None:

@@ -121,7 +121,7 @@ def test_choices_of_the_cpu_have_the_same_numbers(episodes: list[RearrangeEpisod
     )
     stepper.begin([3], [0], np.ones(1, np.bool_))
     known = stepper.play.team.choices(0)
-    assert len(known) == len(sim.choices("robot")) == stepper.action_space("robot").n == CLOSE + 1  # type: ignore[attr-defined]
+    assert len(known) == len(sim.choices["robot"]) == stepper.action_space("robot").n == CLOSE + 1  # type: ignore[attr-defined]
     (joint,) = Fetch().parts_of(episodes[0])
     assert known[TO_HANDLE:] == (Action("nav_to_handle", joint), Action("open", joint), Action("close", joint))
     assert stepper.info("robot")["action_mask"].shape == (1, CLOSE + 1)

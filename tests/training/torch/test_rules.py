@@ -127,7 +127,13 @@ def _flat(planned: Any) -> tuple[Any, ...]:
 
 FORMULAS: dict[str, Callable[[Any, Callable[[Any], Any]], Any]] = {
     "social_nav reward": lambda xp, a: PaperReward().of(
-        a(DISTANCE), a(BEFORE), a(FACES), a(FOLLOWED), SocialNavSpec(), xp=xp
+        a(np.where(FLAGS[2], np.inf, DISTANCE)),
+        a(DISTANCE),
+        a(np.where(FLAGS[1], np.nan, BEFORE)),
+        a(FACES),
+        a(FOLLOWED),
+        SocialNavSpec(),
+        xp=xp,
     ),
     "found": lambda xp, a: is_found(a(DISTANCE), a(FACES), SocialNavSpec()),
     "facing": lambda xp, a: facing(a(XZ), a(HEADING), a(OTHER), xp=xp),

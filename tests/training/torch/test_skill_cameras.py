@@ -13,6 +13,7 @@ torch = pytest.importorskip("torch")
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 from torch.utils._pytree import tree_leaves  # noqa: E402
 
+from h3data.bodies import Robot  # noqa: E402
 from h3data.geometry import quat_from_heading  # noqa: E402
 from h3data_pipelines.skill_judging import play_of  # noqa: E402
 from h3data_training.skills.cpu_cameras import CpuSkillCameras  # noqa: E402
@@ -22,7 +23,7 @@ from h3data_training.torch.skills.cameras import SkillCameras, moved_bodies  # n
 from h3data_training.torch.skills.teacher import taught  # noqa: E402
 from h3data_training.torch.skills.worlds import SkillPlay, SkillTensors  # noqa: E402
 from sim_kinematic.agents.skills import CONTROL, Action  # noqa: E402
-from sim_kinematic.sensing.camera_sensor import ROBOT_ID, CameraSensor, StateRenderer  # noqa: E402
+from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer  # noqa: E402
 from sim_kinematic.tasks.play import DecisionLoop  # noqa: E402
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode  # noqa: E402
 from sim_kinematic.tasks.rearrange.task import Rearrange  # noqa: E402
@@ -85,7 +86,7 @@ def test_it_sees_what_it_sees_on_the_cpu(device: Any) -> None:  # noqa: F811
                 want = sensor.observe(stage)
                 wrong.append((np.abs(seen["depth"][w] - want["depth"][0]) > 2e-3).mean())
                 assert (seen["semantic"][w] != want["semantic"][0]).mean() < 2e-3
-                shows_robot += (want["semantic"] == ROBOT_ID).sum()
+                shows_robot += (want["semantic"] == Robot.semantic_id).sum()
                 shows_held += (want["semantic"] == ids[now.held[w]]).sum() * int(now.held[w] >= 0)
         command = np.array([commands_of(kind, step, rng) for kind in ("reaches", "waves", "waves")])
         going = now._replace(ended=torch.zeros_like(now.ended))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from h3data_play.app import App, Hud
+from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.task import Task
 
@@ -21,10 +22,10 @@ class FollowMeApp(App):
         session = self.session
         state, spec = session.play.memory, session.episode.spec  # type: ignore[attr-defined]
         metres = float(state.geodesic[0])
-        if number >= 0 and session.episode.roster[number].kind == "robot":
+        task, whom = "Walk about as you like. The robot has to find you and follow you.", "the person"
+        if number == ROBOT:
             task = f"Find the person and follow them at {spec.near_m:g} to {spec.far_m:g} m, facing them."
-        else:
-            task = "Walk about as you like. The robot has to find you and follow you."
+        elif number == HUMAN:
+            whom = "you"
         found = "The robot has found" if state.found[0] else "The robot is looking for"
-        whom = "you" if number >= 0 and session.episode.roster[number].kind == "human" else "the person"
         return Hud(task=task, left_s=self.left_s, lines=(f"{found} {whom} ({metres:.0f} m).",))

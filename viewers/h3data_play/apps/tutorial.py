@@ -132,7 +132,7 @@ class TutorialApp(RearrangeApp):
         return self.label(self.session.episode.targets[0].name)  # type: ignore[attr-defined]
 
     def _go(self, number: int) -> str:
-        return "Drive" if self.session.episode.roster[max(number, 0)].kind == "robot" else "Walk"
+        return {"robot": "Drive", "human": "Walk"}[self.session.episode.roster[max(number, 0)].kind]
 
     def _mark(self, number: int) -> Array:
         """Return a point of the floor on the longer one of the paths to the thing and to its place."""

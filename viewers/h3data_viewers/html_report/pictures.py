@@ -339,7 +339,7 @@ def _paths(episode: ReportEpisode, plan: Plan, colour: str) -> Svg:
     )
     tracks = sorted(enumerate(episode.tracks), key=lambda each: each[1].kind)  # the robot's above the person's
     for agent, track in tracks:
-        own = colour if track.kind == "robot" else "person-way"
+        own = {"robot": colour, "human": "person-way"}[track.kind]
         other = track.kind == "human" and episode.people > 1 and agent != episode.metrics.human
         _draw_track(svg, plan, track, "track person-track" if other else f"way {own}")
         known = track.xz[np.isfinite(track.xz).all(1)]

@@ -88,26 +88,8 @@ def read_patch(data: Mapping[str, NDArray[Any]], prefix: str) -> Patch:
     )
 
 
-def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
-    """Return triangles in an order that compresses well: each starts with its lowest vertex index, and all are sorted."""
-    first = faces.argmin(axis=1)
-    # turned and not sorted: the order of the corners tells which side is outside
-    turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
-    return turned[np.lexsort(turned.T[::-1])].astype(np.int32)
-
-
-def pack_faces(faces: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """Pack canonical triangles [F, 3] of up to 65,536 vertices into planes of bytes [3, 2, F] of small differences.
-
-    They compress to half the size.
-    """
-    a, b, c = faces.astype(np.int64).T
-    steps = np.stack([np.diff(a, prepend=0), b - a, c - a]).astype("<u2")
-    return np.ascontiguousarray(steps.view(np.uint8).reshape(3, -1, 2).transpose(0, 2, 1))
-
-
 def unpack_faces(planes: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """Return the triangles [F, 3] that `pack_faces` has packed into planes of bytes [3, 2, F]."""
+    """Return the triangles [F, 3] in planes of bytes [3, 2, F] of small differences, of which wardrobes consist."""
     steps = planes[:, 0].astype(np.uint16) | planes[:, 1].astype(np.uint16) << np.uint16(8)
     # sums wrap at 16 bits, as the differences did
     first = np.cumsum(steps[0], dtype=np.uint16)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bake.people.look.base import Base
 from bake.people.look.measures import Cloth
-from h3data.bodies.people.look.patches import SHADE_UNIT, SHARE_UNIT, UNIT_M, canonical, vertex_normals
+from h3data.bodies.people.look.patches import SHADE_UNIT, SHARE_UNIT, UNIT_M, vertex_normals
 from h3data.geometry import Array, normalized
 
 SNAP = 1e-4
@@ -274,3 +274,21 @@ def over_surface(
     face, share, off = np.asarray(near)[rows, best], share[rows, best], off[rows, best]
     up = normalized(np.einsum("nc,ncj->nj", share, vertex_up[faces[face]]))
     return faces[face].astype(np.int64), share, np.sum(off * up, axis=-1)
+
+
+def canonical(faces: NDArray[np.integer]) -> NDArray[np.int32]:
+    """Return triangles in an order that compresses well: each starts with its lowest vertex index, and all are sorted."""
+    first = faces.argmin(axis=1)
+    # turned and not sorted: the order of the corners tells which side is outside
+    turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])].astype(np.int32)
+
+
+def pack_faces(faces: NDArray[np.integer]) -> NDArray[np.uint8]:
+    """Pack canonical triangles [F, 3] of up to 65,536 vertices into planes of bytes [3, 2, F] of small differences.
+
+    They compress to half the size.
+    """
+    a, b, c = faces.astype(np.int64).T
+    steps = np.stack([np.diff(a, prepend=0), b - a, c - a]).astype("<u2")
+    return np.ascontiguousarray(steps.view(np.uint8).reshape(3, -1, 2).transpose(0, 2, 1))

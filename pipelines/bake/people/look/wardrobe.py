@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bake.people.look.base import Base, above_shoe, neckline
-from bake.people.look.drafts import Draft, Ground
+from bake.people.look.drafts import Draft, Ground, canonical, pack_faces
 from bake.people.look.garments import BOTTOMS, TOPS, Bottom, Dress, Top, bottom, dress, limits, top
 from bake.people.look.hair import HAIR, Skull, beard_draft, brows, hair, under_hair
 from bake.people.look.measures import Cloth
 from bake.people.look.shoes import SHOES, shoes
 from bake.people.look.skin import full_sheet, light_sheet, skin_draft
-from h3data.bodies.people.look.patches import canonical, pack_faces
 from h3data.bodies.people.look.wardrobe import WARDROBE_FORMAT
 from h3data.geometry import Array
 

@@ -13,7 +13,7 @@ from h3data.errors import InputError
 from h3data.progress import progress
 from h3data.scene import FreeSpace, Scene
 from h3data_training.torch.episodes import columns_of
-from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.agents.roster import AgentSpec, kinds_of
 from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
 from sim_kinematic.crowd.crowd import ARRIVED_M, ATTEMPTS
 from sim_kinematic.crowd.traits import Traits, sample_traits
@@ -124,9 +124,12 @@ def require_crowd(task: str, roster: Sequence[AgentSpec], like: Sequence[AgentSp
     Raises:
         InputError: the roster is another one.
     """
-    robots = sum(member.kind == "robot" for member in roster)
-    bodies = {member.model for member in roster if member.kind == "human"}
-    if robots != 1 or len(bodies) > 1 or (like is not None and [m.model for m in roster] != [m.model for m in like]):
+    bodies = {member.model for member in roster[1:]}
+    if (
+        kinds_of(roster).count("robot") != 1
+        or len(bodies) > 1
+        or (like is not None and [m.model for m in roster] != [m.model for m in like])
+    ):
         raise InputError(
             f"On a device, episodes of {task} have one robot and always the same number of people, all with one body; got "
             f"{', '.join(member.model for member in roster)}. Hint: another roster, or leave out device.",

@@ -29,7 +29,7 @@ class CrowdWorlds(TaskTensors):
 
     def __init__(self, bank: CrowdBank, *, model: CrowdModel, **options: Any) -> None:
         """Create the worlds with the options of `TaskTensors`; people follow a crowd model, by the present rules."""
-        people = [member.model for member in bank.roster if member.kind == "human"]
+        people = [member.model for member in bank.roster[1:]]
         episodes: Any = bank
         super().__init__(
             episodes, **{**options, "robot": bank.roster[0].model, **({"human": people[0]} if people else {})}

@@ -127,8 +127,7 @@ class RearrangeBank:
         spec, roster = episodes[0].spec, episodes[0].roster
         parts = [(task or Rearrange()).parts_of(episode) for episode in episodes]
         _check(episodes, parts, (task or Rearrange()).name)
-        robot, human = (member.body for member in roster)
-        assert isinstance(robot, Robot)
+        robot, human = roster[0].robot, roster[1].body
         assert isinstance(human, Humanoid)
         homes = {id(episode.free): episode for episode in episodes}
         number = {key: k for k, key in enumerate(homes)}

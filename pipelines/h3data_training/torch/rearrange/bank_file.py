@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
+from h3data.bodies import Humanoid
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 from h3data.plugins import names_from_data
@@ -89,8 +89,8 @@ def load_bank(path: str | Path, *, spec: RearrangeSpec = ORACLE_RULES) -> tuple[
             code="H3-TRAIN-066",
         )
     with names_from_data():
-        robot, human = (m.body for m in make_roster(Rearrange.agents, robot=robot_name, human=human_name))
-    assert isinstance(robot, Robot)
+        roster = make_roster(Rearrange.agents, robot=robot_name, human=human_name)
+    robot, human = roster[0].robot, roster[1].body
     assert isinstance(human, Humanoid)
     return RearrangeBank(spec=spec, robot=robot, human=human, floors=floors, scenes=(), names=names, **arrays), drawn_by
 

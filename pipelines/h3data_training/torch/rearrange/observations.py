@@ -75,17 +75,18 @@ class View(NamedTuple):
     @classmethod
     def of(cls, sim: RearrangeTensors, play: Play, agent: str, paths: Paths | None = None) -> View:
         """Return the view of the ``robot`` or the ``human``; without ``paths``, `observed` computes the paths."""
-        own, other = (play.robot, play.human) if agent == "robot" else (play.human, play.robot)
-        is_robot = agent == "robot"
+        now, other, does, contact = play.robot, play.human, play.robot_does, play.robot.contact
+        if agent == "human":
+            now, other, does, contact = other, now, play.human_does, torch.zeros_like(contact)
         return cls(
             sim=sim,
             play=play,
             places=sim.tables.at(play.episode),
-            choices=sim.choices(agent),
-            does=play.robot_does if is_robot else play.human_does,
-            now=own,
+            choices=sim.choices[agent],
+            does=does,
+            now=now,
             other=other,
-            contact=play.robot.contact if is_robot else torch.zeros_like(play.robot.contact),
+            contact=contact,
             paths=paths,
         )
 

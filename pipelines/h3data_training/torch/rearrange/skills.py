@@ -6,7 +6,7 @@ Its rules are `sim_kinematic.agents.oracle.rules`; the rest is equivalent to `si
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,6 +21,7 @@ from sim_kinematic.agents.oracle.rules import AIMED_RAD, VIA_M, gets_on, is_ther
 from sim_kinematic.agents.robots.driving import FACING_RAD, STUCK_STEPS
 from sim_kinematic.agents.skills import CHOICE_WAIT_STEPS, PRIMITIVES
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, OracleSpec, WalkerSpec
+from sim_kinematic.motion.state import HUMAN, ROBOT
 
 NAV_OBJECT, NAV_GOAL, PICK, PLACE, WAIT = range(5)
 """Kinds of choices, which are followed by the primitives."""
@@ -60,8 +61,9 @@ class Choices:
     ) -> Choices:
         """Return the table of choices of a robot or a person."""
         opening = [kind for kind in (NAV_HANDLE, OPEN, CLOSE) for _ in range(parts)]
-        primitives = list(PRIMITIVES.values()) if isinstance(body, Robot) else []
-        changes, ends = oracle.robot_steps if isinstance(body, Robot) else oracle.person_steps
+        who, primitives, (changes, ends) = HUMAN, list[Any](), oracle.person_steps
+        if isinstance(body, Robot):
+            who, primitives, (changes, ends) = ROBOT, list(PRIMITIVES.values()), oracle.robot_steps
         kinds = [kind for kind in range(4) for _ in range(objects)] + list(range(WAIT, WAIT + 1 + len(primitives)))
         own = len(kinds)  # what all tasks have
         handling = [0] * (2 * objects) + [ends] * (2 * objects)
@@ -71,7 +73,7 @@ class Choices:
 
         still = [(0.0, 0.0)] * (4 * objects + 1)
         return cls(
-            who=0 if isinstance(body, Robot) else 1,
+            who=who,
             kind=whole([*kinds, *opening]),
             target=whole([*list(range(objects)) * 4, *[0] * (1 + len(primitives) + len(opening))]),
             part=whole([*[0] * own, *list(range(parts)) * 3]),

@@ -81,16 +81,13 @@ class RearrangeTensors:
         self.tables = Tables.of(bank, self.device, self.dtype)
         self._grids = Grids.of(bank.floors, self.device, self.dtype)
         self._base, self._bearing = base_of(bank.robot, bank.spec.robot), reach_bearing(bank.robot)
-        self.robot_choices, self.human_choices = (
-            Choices.of(body, bank.objects, self.oracle, self.device, self.dtype, bank.spec.parts)
-            for body in (bank.robot, bank.human)
-        )
+        self.choices = {
+            kind: Choices.of(body, bank.objects, self.oracle, self.device, self.dtype, bank.spec.parts)
+            for kind, body in (("robot", bank.robot), ("human", bank.human))
+        }
+        """Choices of each agent."""
         self.orders = torch.as_tensor(bank.orders(partner), device=self.device)
         """Plan of each episode of the bank, [N, K]."""
-
-    def choices(self, agent: str) -> Choices:
-        """Return the choices of an agent."""
-        return self.robot_choices if agent == "robot" else self.human_choices
 
     def before_the_first(self, episode: Tensor) -> Play:
         """Return worlds whose first step starts the episodes after ``episode`` [W]."""
@@ -157,7 +154,7 @@ class RearrangeTensors:
     def _human(
         self, play: Play, choice: Tensor, places: Places, hands: Hands, floor_y: Tensor
     ) -> tuple[HumanTensors, SubGoal, Hands]:
-        person, choices, does = play.human, self.human_choices, play.human_does
+        person, choices, does = play.human, self.choices["human"], play.human_does
         close = self.close(person.xz, person.heading, play.robot.xz)
         does, choice = self._chosen("human", choices, does, choice, close, hands, places)
         turn = begin(choices, does, choice, places, person.xz, person.heading, 0.0, hands, self.oracle)
@@ -169,7 +166,7 @@ class RearrangeTensors:
     def _robot(
         self, play: Play, human: HumanTensors, choice: Tensor, places: Places, hands: Hands, floor_y: Tensor
     ) -> tuple[RobotTensors, SubGoal, Hands]:
-        robot, choices, does = play.robot, self.robot_choices, play.robot_does
+        robot, choices, does = play.robot, self.choices["robot"], play.robot_does
         close = self.close(robot.xz, robot.heading, human.xz)
         does, choice = self._chosen("robot", choices, does, choice, close, hands, places)
         turn = begin(choices, does, choice, places, robot.xz, robot.heading, self._bearing, hands, self.oracle)
