@@ -125,9 +125,6 @@ def drive_base(
 @kernel(error_model="numpy", inline="always")
 def drive_facing(sdf, origin, cell, x, z, old, new, speed, lateral, turn, dt, rules):
     """Return the result of `drive_base`, with headings as tuples of angle, cosine and sine: now, and after the turn."""
-    # a base that is not driven keeps its place to the last bit, and touches nothing
-    if speed == 0.0 and lateral == 0.0 and turn == 0.0:
-        return x, z, old, False
     offsets, radius, iterations, tolerance, touch, most = rules
     _, c, s = new
     tx, tz, _ = integrate_along(x, z, old[0], old[1], old[2], speed, lateral, turn, dt)
@@ -254,24 +251,27 @@ def drive_worlds(
         return broken
     for w in range(len(heading)):
         speed, lateral, turn = velocities(action[w], limits)
-        xz[w, 0], xz[w, 1], heading[w], contact[w] = drive_base(
-            sdf,
-            origin,
-            cell,
-            xz[w, 0],
-            xz[w, 1],
-            heading[w],
-            speed,
-            lateral,
-            turn,
-            dt,
-            offsets,
-            radius,
-            iterations,
-            tolerance,
-            touch,
-            most,
-        )
+        # a base that is not driven keeps its place to the last bit, and touches nothing
+        contact[w] = False
+        if speed != 0.0 or lateral != 0.0 or turn != 0.0:
+            xz[w, 0], xz[w, 1], heading[w], contact[w] = drive_base(
+                sdf,
+                origin,
+                cell,
+                xz[w, 0],
+                xz[w, 1],
+                heading[w],
+                speed,
+                lateral,
+                turn,
+                dt,
+                offsets,
+                radius,
+                iterations,
+                tolerance,
+                touch,
+                most,
+            )
     return -1
 
 
