@@ -44,11 +44,6 @@ class LiveInput:
         return (float(np.median(known)), float(np.percentile(known, 95))) if len(known) else None
 
 
-def seq_column(user: int) -> str:
-    """Return the name of the column that numbers a player's messages."""
-    return f"input.user_{user}.seq"
-
-
 def rtt_column(user: int) -> str:
     """Return the name of the column of a player's round-trip time."""
     return f"input.user_{user}.rtt_ms"

@@ -46,17 +46,6 @@ def draw_polyline(
             cv2.line(image, a, b, color, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def draw_circle(
-    image: NDArray[np.uint8], camera: Camera, point: ArrayLike, color: Color, *, radius_px: int = 5, thickness: int = -1
-) -> None:
-    """Draw a dot (``thickness`` -1) or circle at a world point [3] [m], unless it is behind the camera."""
-    import cv2
-
-    at = pixel_of(image, camera, point)
-    if at is not None:
-        cv2.circle(image, at, radius_px, color, thickness, cv2.LINE_AA)
-
-
 def _clip_to_front(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ``point``, moved along the line to ``other`` until it is in front of the camera."""
     if point[2] >= _NEAR_M:

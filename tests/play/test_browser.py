@@ -186,7 +186,7 @@ def place_to_lie(scene: str) -> Any:
     session = h3data.session("rearrange", scene, agents={"person": External(), "robot": "still"}, seed=2)
     (person,) = [actor for actor in session.play.team.actors if isinstance(actor, DrivenPerson)]
     assert person.seats is not None
-    place = person.seats.nearest(person.xz, 30.0, lies=True)
+    place = person.seats.nearest(person.xz, within_m=30.0, lies=True)
     assert place is not None
     return place.before[:2]
 

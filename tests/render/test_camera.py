@@ -24,6 +24,7 @@ from h3data.render import (
     pinhole,
 )
 from h3data_pipelines.pictures.rendering import draw_label
+from h3data_viewers.strip import draw_circle
 
 RED = (255, 0, 0)
 
@@ -190,14 +191,14 @@ def test_lines_behind_the_camera_are_cut():
 def test_labels_and_dots_sit_at_their_point():
     camera = pinhole(160, 120, hfov_deg=70)
     image = np.zeros((120, 160, 3), np.uint8)
-    overlay.draw_circle(image, camera, [0, 0, 2], (0, 255, 0), radius_px=3)
+    draw_circle(image, camera, [0, 0, 2], (0, 255, 0), radius_px=3)
     assert image[60, 80, 1] == 255
     draw_label(image, camera, [0, 0, 2], "robot", RED)
     rows = np.flatnonzero((image[..., 0] > 150).any(1))
     assert 40 < rows.min() < rows.max() < 60
     before = image.copy()
     draw_label(image, camera, [0, 0, -2], "behind", RED)
-    overlay.draw_circle(image, camera, [1e9, 0, 1e-3], RED)
+    draw_circle(image, camera, [1e9, 0, 1e-3], RED)
     np.testing.assert_array_equal(image, before)
     with pytest.raises(InputError, match=r"(?s)\[120, 160, 3\].*H3-RENDER-049"):
         draw_label(image[:50], camera, [0, 0, 2], "x", RED)

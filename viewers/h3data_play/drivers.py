@@ -503,7 +503,7 @@ class PersonDriver(SkillDriver):
         if gaps and min(gaps) < AHEAD_M and self.body.seats is not None:
             edge, lies = self._new_seats.pop(gaps.index(min(gaps)))
             # 0.01: only this seat
-            self.body.seats.nearest(edge, 0.01, lies=lies)
+            self.body.seats.nearest(edge, within_m=0.01, lies=lies)
 
     @property
     def hold(self) -> Any:

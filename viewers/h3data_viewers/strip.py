@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.render.camera import Camera
-from h3data.render.overlay import draw_circle, draw_polyline
+from h3data.render.overlay import Color, draw_polyline, pixel_of
 from h3data.replay.cameras import camera_at
 from h3data.replay.records import CameraTrack
 from h3data.replay.replay import Replay
@@ -194,3 +194,14 @@ def _moves(xz: Array, dt: float) -> NDArray[np.bool_]:
     before, after = np.maximum(steps - reach, 0), np.minimum(steps + reach, len(xz) - 1)
     moved = np.linalg.norm(xz[after] - xz[before], axis=1)
     return moved > MOVES_MPS * np.maximum(after - before, 1) * dt
+
+
+def draw_circle(
+    image: NDArray[np.uint8], camera: Camera, point: ArrayLike, color: Color, *, radius_px: int = 5, thickness: int = -1
+) -> None:
+    """Draw a dot (``thickness`` -1) or circle at a world point [3] [m], unless it is behind the camera."""
+    import cv2
+
+    at = pixel_of(image, camera, point)
+    if at is not None:
+        cv2.circle(image, at, radius_px, color, thickness, cv2.LINE_AA)
