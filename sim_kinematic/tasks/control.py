@@ -264,7 +264,7 @@ class VelocityControl(Control):
             InputError: the choice is malformed.
         """
         try:
-            if isinstance(choice, PoseAction) and play.world.roster[number].kind == "human":
+            if (type(choice), play.world.roster[number].kind) == (PoseAction, "human"):
                 return self.accepted(play, number, choice._replace(xz=np.asarray(choice.xz, np.float64)))
             if not hasattr(choice, "forward") and np.shape(choice) == (2,):
                 choice = Velocity(float(choice[0]), float(choice[1]))
