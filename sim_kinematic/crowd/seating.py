@@ -239,14 +239,11 @@ class Seats:
 
 
 def sit_for(here: Array, place: SeatPlace, seconds: float, *, brisk: bool = False) -> Motion:
-    """Yield the motion of a person who walks from a place [3] before a seat, sits for some time, and returns there."""
-    yield from take_seat(here, place, brisk=brisk)
+    """Return the motion of a person who walks from a place [3] before a seat, sits for some time, and returns there."""
     way = lying_way(place)
     at, up = way[-1]
-    yield from way[1:]
-    yield from _shares(at, up, up, seconds)
-    yield from way[-2::-1]
-    yield from leave_seat(place.stand, place, 1.0)
+    stays = chain(way[1:], _shares(at, up, up, seconds), way[-2::-1])
+    return chain(take_seat(here, place, brisk=brisk), stays, leave_seat(place.stand, place, 1.0))
 
 
 def lying_way(place: SeatPlace) -> list[tuple[Array, float]]:

@@ -70,6 +70,8 @@ class CrowdSpec:
     the rest."""
     company_m: float = 0.08
     """Distance between outlines that avoidance adds between members of one walking group [m]."""
+    company_gain: float = 2.1
+    """Social force: weight of members of one's own walking group."""
 
     @classmethod
     def of_version(cls, version: int, *, wary: bool = False, early: bool = False) -> CrowdSpec:

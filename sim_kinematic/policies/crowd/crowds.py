@@ -42,6 +42,11 @@ class CrowdMember:
     daily: bool = False
     """True if the person follows a routine."""
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Facts about the person in recordings: model, version, traits and role."""
+        return {"model": self.model, "version": self.version, **self.traits._asdict(), **self.role._asdict()}
+
 
 class Moment(NamedTuple):
     """Places of all agents of W worlds, now and one step ago."""
@@ -106,8 +111,6 @@ class Crowds:
         """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others; and the first of these;
         and those of its people whose hands work."""
         self._moved: dict[int, PoseAction] = {}
-        self._others: list[int] = []
-        """Numbers of the people who are in none of the crowds."""
         self.stations: dict[Any, Station] = {}
         """Stations in use, by the person who uses them; of people who are in none of the crowds by their number."""
         self.new_events = new_events
@@ -157,6 +160,7 @@ class Crowds:
             workers = [(n, member, member.hands) for n, member in members.items() if member.hands is not None]
             rows, first = every if order == list(discs) else (np.array(order), np.array(own))
             self._order[model] = rows, first, workers
+            # those who are in none of the crowds
             self._others = sorted({*range(robots, robots + all_people)}.difference(*self._members.values()))
         for k in self._others:
             own = self._world.state.agents[k]
