@@ -81,7 +81,8 @@ class CrowdSpec:
         """
         if wary or version < 3:
             near = 0.0 if version > 7 and not early else cls.company_m
-            return cls(version=min(version, 4), company_m=near, company_gain=0.0 if version > 8 else cls.company_gain)
+            gain, guard = (0.0, cls.horizon_s) if version > 8 else (cls.company_gain, cls.guard_s)
+            return cls(version=min(version, 4), company_m=near, company_gain=gain, guard_s=guard)
         kept = min(version, 5) if early else version
         quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=kept)
         sooner = replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1) if kept > 4 else quick

@@ -163,7 +163,7 @@ class Crowds:
             # those who are in none of the crowds
             self._others = sorted({*range(robots, robots + all_people)}.difference(*self._members.values()))
         for k in self._others:
-            own = self._world.state.agents[k]
+            own = self._world.state.people[k - robots]
             self.stations.pop(k, None)
             if own.seat[w, 1] > 0.0:
                 taken = np.array([*own.xz[w], own.heading[w], APART_M if own.seat[w, 1] <= 1.0 else LIES_APART_M])

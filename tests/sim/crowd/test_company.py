@@ -158,7 +158,7 @@ def test_in_single_file_a_group_keeps_together_as_measured_ones(model: CrowdMode
         track = walk(crowd, [(3.0, 0.5), (1.6, 0.5)], 0.0, 270, NOBODY)[0]
         gap[version] = np.median(np.hypot(*(track[120:, 0] - track[120:, 1]).T))
         assert np.hypot(*(track[:, 0] - track[:, 1]).T).min() > 0.99, "feet ahead and behind do not meet"
-    assert gap[newer] < 1.1 < gap[newer - 1] < 1.2, gap
+    assert gap[newer] < (1.1 if model == "orca" else 1.16) < gap[newer - 1] < 1.2, gap
 
 
 @pytest.mark.parametrize("model", MODELS)
