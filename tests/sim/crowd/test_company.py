@@ -167,7 +167,7 @@ def test_people_who_talk_stand_in_a_circle_and_face_its_centre(model: CrowdModel
     roles = [Role(group="talk1")] * size
     crowd = Crowd(FLOOR, [person()] * size, [path_to((9.0, 3.0))] * size, model, roles=roles)
     starts = [(3.0 + 1.5 * k, 6.0) for k in range(size)]
-    track, looks, told = walk(crowd, starts, 0.0, 600, NOBODY)
+    track, looks, told = walk(crowd, starts, 0.0, 750, NOBODY)
     centre = track[-1].mean(0)
     np.testing.assert_allclose(np.hypot(*(track[-1] - centre).T), circle_radius(size), atol=0.15)
     towards = np.arctan2(-(centre - track[-1])[:, 1], (centre - track[-1])[:, 0])
