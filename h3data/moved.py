@@ -9,6 +9,7 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 MOVED = {
+    "sim_kinematic.agents.sitting": "sim_kinematic.agents.driven.person",
     "h3data.bodies.robots.extents": "h3data.bodies.robots.robot_loading",
     "h3data.scene.freespace.floor_map": "h3data.scene.freespace.build",
     "h3data.recording.mcap.chunks": "h3data.recording.mcap.writer",

@@ -95,9 +95,9 @@ joints.
 """
 ROOM_M, LEAF = 0.3, 0.16
 """Smallest distance of a person from obstacles [m], and of the body's centre from an open door [body heights]."""
-NEIGHBOUR_M, APART_M = 0.12, 0.45
-"""Distance of neighbouring places, where a rotation by 1 rad counts as 0.1 m, and of the spots of two people's
-things [m].
+NEIGHBOUR_M, APART_M, BESIDE_CARTON_M = 0.12, 0.45, 0.12
+"""Distance of neighbouring places, where a rotation by 1 rad counts as 0.1 m, of the spots of two people's things,
+and of cartons in one fridge [m].
 """
 FARTHER_M = (0.0, 0.08, 0.16, 0.24, 0.3, 0.36, 0.42)
 """Additional distances by which people lean to reach with both hands [m]; the first that suffices is used."""
@@ -253,9 +253,10 @@ class ChoreRoutine(Routine):
     def follow(self, version: int) -> ChoreRoutine:
         """Plan the chores by a version of the rules.
 
-        Up to version 6, people also do chores through a wall; up to version 7, they choose stops as if they did.
+        Up to version 6, people also do chores through a wall; up to version 7, they choose stops as if they did. Up to
+        version 8, two people may have their things at one spot.
         """
-        if self._choose is not None and (version > 7) != (self.version > 7):
+        if self._choose is not None and (version > 7, version > 8) != (self.version > 7, self.version > 8):
             self.stops = tuple(self._choose(version))
         self.version = version
         self.plans, self.own = dict[int, Chore | InputError](), dict[int, int]()
@@ -591,15 +592,34 @@ def chosen_stops(
         kept: Share of the parts that are not left out.
         version: Version of the rules (`ChoreRoutine.follow`).
     """
+    taken = list[Array]()
+    # those who choose first may have the same routine: from version 9 on, nobody has their things at the spots of others
+    for k in range(number if version > 8 else 0):
+        if episode.roster[k].kind == "human":
+            taken += _chosen(episode, k, parts, stream, kept, version, taken)[1]
+    return _chosen(episode, number, parts, stream, kept, version, taken)[0]
+
+
+def _chosen(
+    episode: Any,
+    number: int,
+    parts: Sequence[Sequence[tuple[str, tuple[str, ...], float]]],
+    stream: str,
+    kept: float,
+    version: int,
+    taken: Sequence[Array],
+) -> tuple[list[Stop], list[Array]]:
+    """Return the stops of an agent by `chosen_stops`, and the spots of their things [3] [m], away from those ``taken``."""
     scene, free, body, start = episode.scene, episode.free, episode.roster[number].body, episode.starts[number, :2]
     things, rng = dict[str, list[str]](), generator(episode.seed, stream, world=number)
     for instance in scene.instances:
         # not the fronts of drawers, whose names have the thing's before a slash
         if "/" not in instance.name:
             things.setdefault(scene.assets[instance.asset].category, []).append(instance.name)
-    stops: list[Stop] = []
+    stops, spots = list[Stop](), list[Array]()
     for part in parts:
         wanted, chosen, tray = rng.random() < kept, list[Stop](), False
+        own = list[Array]()
         for activity, categories, seconds in part:
             tray = tray or activity == "lift"
             there = [name for category in categories for name in things.get(category, ())]
@@ -607,13 +627,19 @@ def chosen_stops(
                 stop = Stop(there[k], activity, seconds)
                 try:
                     if activity in CHORES and activity not in UNPLANNED:
-                        planned(scene, free, body, stop, start, number, tray=tray, walls=version > 7)
+                        plan = planned(scene, free, body, stop, start, number, tray=tray, walls=version > 7)
+                        # cartons stand side by side in a fridge
+                        apart = BESIDE_CARTON_M if activity == "take" else APART_M
+                        if any(np.linalg.norm(plan.spot - other) < apart for other in taken):
+                            continue
+                        own.append(plan.spot)
                 except InputError:
                     continue
                 chosen.append(stop)
                 break
-        stops += chosen if len(chosen) == len(part) else []
-    return stops
+        if len(chosen) == len(part):
+            stops, spots = stops + chosen, spots + own
+    return stops, spots
 
 
 def _carried_tray(body: Humanoid, scale: float) -> Array:

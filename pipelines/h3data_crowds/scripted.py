@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,9 @@ YIELD_S = 15.0
 class ScriptedPerson:
     """A person with a role: ``walk``, ``stand``, ``yield`` to the robot, or ``follow`` it (see `docs/scenarios.md`)."""
 
+    unversioned = 8
+    """Version of the rules of people (`sim_kinematic.crowd.crowd.VERSION`) in recordings that hold none."""
+
     def __init__(
         self, free: FreeSpace, person: Mapping[str, Any], extra: Mapping[str, Any], traits: Traits, walker: WalkerSpec
     ) -> None:
@@ -57,6 +61,15 @@ class ScriptedPerson:
             role=ALONE,
             seed=0,  # conversations alone depend on it
         )
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Facts about the person in recordings, as those of other people of crowds."""
+        return self.member.facts
+
+    def repeat(self, version: int) -> None:
+        """Decide by a version of the rules, as in a recording."""
+        self.member = replace(self.member, version=version)
 
     def act(self, view: AgentView) -> PoseAction:
         """Return the person's place after the next step."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain, repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +45,10 @@ BESIDE_M = 0.8
 APART_M, LIES_APART_M = 0.75, 1.6
 """Least distance between people who sit side by side, and least distance from the hips of a person who lies to people
 who sit down [m]."""
+
+
+NEAR_M = 3.0
+"""Distance within which the nearest seat is used when a person who is driven from outside has to sit down [m]."""
 
 
 class SeatPlace(NamedTuple):
@@ -177,7 +182,7 @@ class Seats:
         return lies
 
     def nearest(
-        self, xz: Array, within_m: float, taken: Sequence[Array] = (), *, lies: bool = False
+        self, xz: Array, taken: Sequence[Array] = (), *, within_m: float = NEAR_M, lies: bool = False
     ) -> SeatPlace | None:
         """Return the places for using the nearest seat that fits within a distance [m] of a place [2], or None.
 
@@ -234,14 +239,11 @@ class Seats:
 
 
 def sit_for(here: Array, place: SeatPlace, seconds: float, *, brisk: bool = False) -> Motion:
-    """Yield the motion of a person who walks from a place [3] before a seat, sits for some time, and returns there."""
-    yield from take_seat(here, place, brisk=brisk)
+    """Return the motion of a person who walks from a place [3] before a seat, sits for some time, and returns there."""
     way = lying_way(place)
     at, up = way[-1]
-    yield from way[1:]
-    yield from _shares(at, up, up, seconds)
-    yield from way[-2::-1]
-    yield from leave_seat(place.stand, place, 1.0)
+    stays = chain(way[1:], _shares(at, up, up, seconds), way[-2::-1])
+    return chain(take_seat(here, place, brisk=brisk), stays, leave_seat(place.stand, place, 1.0))
 
 
 def lying_way(place: SeatPlace) -> list[tuple[Array, float]]:
@@ -281,6 +283,18 @@ def leave_seat(here: Array, place: SeatPlace, share: float) -> Motion:
         yield from _shares(here, share, 0, RISE_S * (0.5 + share / 2))
         yield from _shares(here, 0, 0, SETTLE_S / 2)
     yield from steps_between(here, place.before)
+
+
+def remain(here: Array, place: SeatPlace) -> Motion:
+    """Return the motion of a person who comes from a place [3] before a seat, sits or lies down, and stays there."""
+    way = lying_way(place)
+    return chain(take_seat(here, place), way, repeat(way[-1]))
+
+
+def leave(here: Array, share: float, place: SeatPlace) -> Motion:
+    """Return the motion of a person at a place [3], with any ``share``, who sits up, gets up and steps away."""
+    back = [step for step in lying_way(place)[::-1] if step[1] < share]
+    return chain(back, leave_seat(place.stand if back else here, place, min(share, 1.0)))
 
 
 def _shares(at: Array, start: float, end: float, seconds: float) -> Motion:

@@ -306,7 +306,8 @@ def choose_velocity(
                 rules[16],
                 rules[17],
             )
-            ax, az = ax + rules[11] * fx, az + rules[11] * fz
+            gain = rules[24 if j < len(body) and company[m] >= 0 and company[j] == company[m] else 11]
+            ax, az = ax + gain * fx, az + gain * fz
         push = rules[12] * math.exp(-max(clear - WALL_M, 0.0) / rules[13])
         ax, az = ax + push * gx, az + push * gz
         span = traits[m, 2]

@@ -70,6 +70,8 @@ class CrowdSpec:
     the rest."""
     company_m: float = 0.08
     """Distance between outlines that avoidance adds between members of one walking group [m]."""
+    company_gain: float = 2.1
+    """Social force: weight of members of one's own walking group."""
 
     @classmethod
     def of_version(cls, version: int, *, wary: bool = False, early: bool = False) -> CrowdSpec:
@@ -78,7 +80,9 @@ class CrowdSpec:
         With ``wary``, the constants keep the horizons and speeds of version 2, and find narrow places as in version 4.
         """
         if wary or version < 3:
-            return cls(version=min(version, 4), company_m=0.0 if version > 7 and not early else cls.company_m)
+            near = 0.0 if version > 7 and not early else cls.company_m
+            gain, guard = (0.0, cls.horizon_s) if version > 8 else (cls.company_gain, cls.guard_s)
+            return cls(version=min(version, 4), company_m=near, company_gain=gain, guard_s=guard)
         kept = min(version, 5) if early else version
         quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=kept)
         sooner = replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1) if kept > 4 else quick

@@ -82,6 +82,8 @@ class External:
     """
 
     takes_commands = True
+    sits = True
+    """True if people can sit down, so that recordings by motion clips hold the column ``motion_seat``."""
 
     def __init__(self, *, interrupts_when_close: bool = True) -> None:
         self.interrupts_when_close = interrupts_when_close

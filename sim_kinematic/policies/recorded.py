@@ -60,8 +60,8 @@ class RecordedVelocities:
     (`is_remote`) is only called from ``until`` on.
     """
 
-    def __init__(self, choices: Mapping[int, Any], *, until: int, own: Any, since: int = 0) -> None:
-        self._choices, self._until, self._own = choices, until, own
+    def __init__(self, choices: Mapping[int, Any], *, until: int, own: Any, since: int = 0, sits: bool = False) -> None:
+        self._choices, self._until, self._own, self.sits = choices, until, own, sits
         self.since = max(since, until) if is_remote(own) else since
 
     @classmethod
@@ -89,9 +89,10 @@ class RecordedVelocities:
             InputError: The simulator does not know a recorded command or skill.
         """
         told = {command.step: command.choice for command in commands or ()}
+        sits = f"agent_{number}.motion_seat" in recording.columns
         if commands and f"agent_{number}.action" not in recording.columns:
             # a recording that was continued has commands for the steps before only
-            return cls(told, until=min(until, commands[-1].step + 1), own=own, since=since)
+            return cls(told, until=min(until, commands[-1].step + 1), own=own, since=since, sits=sits)
         actions = recording.columns[f"agent_{number}.action"]
         if actions.shape != (len(recording), 2) or not np.isfinite(actions).all():
             raise InputError(

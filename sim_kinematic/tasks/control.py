@@ -28,6 +28,7 @@ from h3data.recording.records import JOINTS, agent_numbers
 from h3data.scene.articulation import joints_of
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.contact.frames import root_pose
+from sim_kinematic.crowd.errands import Station
 from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.policies.assignment import AssignedPolicy, works
 from sim_kinematic.policies.crowd.crowds import Crowds, Moment
@@ -252,12 +253,14 @@ class VelocityControl(Control):
         return MotionTeam(play)
 
     def checked(self, play: Any, number: int, choice: Any) -> Any:
-        """Return a velocity from a pair, or from any object with ``forward`` and ``turn``.
+        """Return a velocity from a pair, or from any object with ``forward`` and ``turn``, or the `PoseAction` of a person.
 
         Raises:
             InputError: the choice is malformed.
         """
         try:
+            if (type(choice), play.world.roster[number].kind) == (PoseAction, "human"):
+                return self.accepted(play, number, choice._replace(xz=np.asarray(choice.xz, np.float64)))
             if not hasattr(choice, "forward") and np.shape(choice) == (2,):
                 choice = Velocity(float(choice[0]), float(choice[1]))
             is_finite = math.isfinite(choice.forward) and math.isfinite(choice.turn)
@@ -280,8 +283,8 @@ class VelocityControl(Control):
             return choice
         if not (walks and isinstance(choice, WaypointAction | PoseAction | RecordedPose)):
             return self.checked(play, number, choice)
-        place = np.append(choice.xz, getattr(choice, "heading", 0.0))
-        if place.shape != (3,) or not np.isfinite(place).all():
+        place = np.hstack([choice.xz, getattr(choice, "heading", 0.0), getattr(choice, "seat", (0.0, 0.0))])
+        if place.shape != (5,) or not np.isfinite(place).all():
             raise InputError(f"Expected a place of 2 finite numbers [m], got {choice!r}.", code="H3-TASK-082")
         return choice
 
@@ -290,11 +293,16 @@ class VelocityControl(Control):
         return Velocity(0.0, 0.0) if last is None else last
 
     def to_json(self, choice: Any) -> Any:
-        """Return a velocity as JSON types."""
+        """Return a velocity, or the pose of a person, as JSON types."""
+        if isinstance(choice, PoseAction):
+            return {"pose": [float(x) for x in (*choice.xz, choice.heading, *choice.seat)]}
         return {"forward": float(choice.forward), "turn": float(choice.turn), "skill": choice.skill}
 
     def from_json(self, data: Any) -> Any:
-        """Return the velocity that `to_json` converted."""
+        """Return the choice that `to_json` converted."""
+        if "pose" in data:
+            x, z, heading, height, share = map(float, data["pose"])
+            return PoseAction(np.array([x, z]), heading, (height, share))
         return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
 
     def needed_columns(self, recording: Recording) -> list[str]:
@@ -527,6 +535,11 @@ class MotionTeam(Team):
             for k, (member, n) in enumerate(zip(episode.roster, islands, strict=True))
             if member.kind == "human" and closed[n]
         ]
+
+    @property
+    def stations(self) -> Mapping[Any, Station]:
+        """Seats and other stations in use in the first world, by the person who uses them."""
+        return self._crowds[0].stations if 0 in self._crowds else {}
 
     def _where(self) -> Moment:
         """Return the places of all agents, put together once per step for all crowds."""

@@ -35,7 +35,6 @@ from sim_kinematic.agents.roster import AgentSpec, kinds_of
 from sim_kinematic.agents.skills import CONTROL, Action
 from sim_kinematic.crowd.errands import HandWork
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, works
-from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.recorded import COMMAND, is_remote
 from sim_kinematic.sensing.agent_pictures import LIDAR_3D
 from sim_kinematic.sensing.lidar import ELEVATION_DEG, SCAN_M
@@ -476,7 +475,7 @@ def describe(
     if crowd := {
         member.name: policy.policy.facts if policy.hands is None else {"version": policy.version}
         for member, policy in zip(episode.roster, policies, strict=True)
-        if isinstance(policy.policy, CrowdPolicy) or policy.hands is not None
+        if hasattr(policy.policy, "repeat") or policy.hands is not None
     }:
         info["people"] = crowd
     external = [k for k, policy in enumerate(policies) if policy.is_external]

@@ -19,7 +19,6 @@ from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
 from h3data.recording.records import JOINTS, agent_numbers
 from h3data.replay.recorded_robots import check_recorded_robots
 from sim_kinematic.policies.assignment import ENTRIES, KINDS, AssignedPolicy, each_of, make_policy
-from sim_kinematic.policies.crowd.people import CrowdPolicy
 from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.codec import POLICY_ENTRIES
 from sim_kinematic.tasks.episode import Episode
@@ -318,12 +317,13 @@ def assigned_policies(
 def repeat_crowd(assigned: AssignedPolicy, recording: Recording, name: str) -> AssignedPolicy:
     """Return the policy of a person, who decides by the version of the rules that the recording holds for them.
 
-    Without one, it is the first version.
+    Without one, it is the first version, or that of a policy whose recordings did not hold it from the first one on.
     """
     people = recording.episode.info.get("people")
     facts = people.get(name) if isinstance(people, dict) else None
-    version = told if isinstance(facts, dict) and isinstance(told := facts.get("version"), int) else 1
-    if isinstance(assigned.policy, CrowdPolicy):
+    told = facts.get("version") if isinstance(facts, dict) else None
+    version = told if isinstance(told, int) else getattr(assigned.policy, "unversioned", 1)
+    if hasattr(assigned.policy, "repeat"):
         assigned.policy.repeat(version)
     return assigned._replace(version=version)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,17 @@ from h3data.replay import Replay
 from h3data.scene import FreeSpace
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.open import named_scenes, open_free_space, open_scene
-from h3data_crowds.chores import CARRIED, GRIP_BACK_M, ITEM_M, CarryingHands, ChoreRoutine, chore_at
+from h3data_crowds.chores import (
+    APART_M,
+    CARRIED,
+    GRIP_BACK_M,
+    ITEM_M,
+    CarryingHands,
+    Chore,
+    ChoreRoutine,
+    chore_at,
+)
+from h3data_crowds.driven import chores
 from h3data_crowds.routines import Stop
 from h3data_exporters.posing import posed_parts
 from h3data_habitat.exporters.gfx_replay_export import write_gfx_replay
@@ -333,3 +344,23 @@ def test_who_reads_holds_a_book_while_sitting() -> None:
     # the right hand turns pages
     assert np.linalg.norm(book[shown[::20]].mean(1) - palms, axis=1).max() < 0.15
     assert verify(reads).difference is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 5])
+def test_people_have_things_at_spots_of_their_own(seed: int) -> None:
+    (named,) = named_scenes(HOME)
+    scene, free = open_scene(named.source), open_free_space(named.source, 0.25, 1.9)
+    roster = make_roster(["robot", *["human"] * 4])
+    episode = Wander().sample(scene, free, seed, SocialNavSpec(spawn_distance_m=0.8), roster)
+    closest = {}
+    for version in (8, 9):
+        spots = []
+        for number in range(1, 5):
+            routine = chores(episode, number, version)
+            plans = [plan for plan in routine.plans.values() if isinstance(plan, Chore) and plan.name != "take"]
+            spots.append(np.array([plan.spot for plan in plans]).reshape(-1, 3))
+        gaps = [np.linalg.norm(a[:, None] - b, axis=2) for a, b in combinations(spots, 2) if len(a) and len(b)]
+        closest[version] = min(gap.min() for gap in gaps)
+    assert closest[8] < 1e-9
+    assert closest[9] >= APART_M

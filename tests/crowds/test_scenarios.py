@@ -16,7 +16,7 @@ from h3data.scene import FreeSpace
 from h3data.scene.open import named_scenes, open_free_space, open_scene
 from h3data_crowds.cards import choose_cards, load_cards
 from h3data_crowds.places import build_plan
-from h3data_crowds.scenarios import Scenarios, ScenarioSpec
+from h3data_crowds.scenarios import Scenarios, ScenarioSpec, _person
 from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.recorder import simulate
@@ -154,3 +154,25 @@ def test_environments_of_modes_begin_and_need_the_card_s_people():
     few = h3data.make("scenarios", "small:0", spec=ScenarioSpec(card="following"))
     with pytest.raises(InputError, match="H3-TASK-080"):
         few.reset(seed=1)
+
+
+def test_a_recording_holds_the_version_of_people_s_rules_and_verifies_by_it(monkeypatch: pytest.MonkeyPatch):
+    def by_version(version: int) -> Recording:
+        def person(_task: Any, episode: Episode, number: int) -> Any:
+            policy = _person(episode, number)
+            policy.repeat(version)
+            return policy
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Scenarios, "policies", {**Scenarios.policies, "human": {"card": person}})
+            return played("crowd_navigation", "still", max_steps=150)
+
+    old, new = by_version(2), by_version(8)
+    assert {facts["version"] for facts in old.episode.info["people"].values()} == {2}
+    assert not np.array_equal(old.columns["agent_1.base_pose"], new.columns["agent_1.base_pose"])
+    assert verify(old).difference is None
+    # recordings of before the version was stored have the rules of version 8
+    for recording, same in ((new, True), (old, False)):
+        info = {name: fact for name, fact in recording.episode.info.items() if name != "people"}
+        bare = replace(recording, episode=replace(recording.episode, info=info))
+        assert (verify(bare).difference is None) == same

@@ -98,7 +98,7 @@ def test_seats_that_were_searched_before_give_the_same_answers(driver: PersonDri
         other = np.array([*rng.uniform(low, high, 2), 0.0, 1.0])
         taken = [other] if rng.random() < 0.5 else []
         new = Seats(driver.session.episode.scene, driver.session.episode.free, driver.body.person.body)
-        found, again = (seats.nearest(xz, 3.0, taken, lies=lies) for seats in (new, known))
+        found, again = (seats.nearest(xz, taken, lies=lies) for seats in (new, known))
         assert (found is None) == (again is None)
         if found is not None and again is not None:
             assert found.seat.name == again.seat.name

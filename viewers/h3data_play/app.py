@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from h3data.errors import InputError
 from h3data.plugins import Registry
-from h3data_play.drivers import Driver, PersonDriver, RobotDriver
+from h3data_play.drivers import Driver, PersonDriver, RobotDriver, SittingDriver
 from h3data_play.messages import Act
 from sim_kinematic.tasks.rearrange.codec import spoken
 from sim_kinematic.tasks.sessions import Session, StepResult
@@ -104,9 +104,9 @@ class App:
 
     def driver(self, number: int) -> Driver:
         """Return the driver with which a player moves agent ``number``, which has skills if the task has them."""
-        if not self.session.task.control.has_skills:
-            return Driver(self.session, number)
         is_person = self.session.episode.roster[number].kind == "human"
+        if not self.session.task.control.has_skills:
+            return (SittingDriver if is_person else Driver)(self.session, number)
         return (PersonDriver if is_person else RobotDriver)(self.session, number)
 
     def refusal(self, number: int, message: Act) -> str:

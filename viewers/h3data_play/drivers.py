@@ -7,18 +7,19 @@ continues after a crash.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from h3data.bodies import Humanoid
 from h3data.bodies.people.gestures import GESTURES, NAMES, add_gestures
 from h3data.bodies.people.reach import hand_points
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
-from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat, quat_from_matrix
-from h3data.scene import FreeSpace
+from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat, quat_from_matrix, wrap_angle
+from h3data.scene import FreeSpace, Scene
 from h3data.scene.seats import seats_of
 from h3data_play.guide import FLOOR_SNAP_M, Guide
 from h3data_play.messages import (
@@ -50,8 +51,11 @@ from sim_kinematic.agents.driven.commands import Place as PlaceSkill
 from sim_kinematic.agents.driven.commands import Sit as SitSkill
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.skills import Action, Message, sentence
+from sim_kinematic.crowd.errands import Motion
+from sim_kinematic.crowd.seating import APART_M, LIES_APART_M, SeatPlace, Seats, leave, remain
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.policies.policy import Velocity
+from sim_kinematic.motion.state import HumanState
+from sim_kinematic.policies.policy import PoseAction, Velocity
 from sim_kinematic.tasks.sessions import Session, StepResult
 
 CANCEL = Action("wait", steps=1)
@@ -68,6 +72,8 @@ OFFER_STEPS = 15
 """Number of steps between two searches for seats and things that the player could use."""
 AHEAD_M = 5.0
 """Distance within which one seat after the other is searched for room, one in a step, before the player comes near [m]."""
+ARRIVED_M = 0.1
+"""Distance from the place before a seat within which a person begins to sit down [m]."""
 PHONE = "phone"
 """Name of the gesture and of the chore of looking at a phone."""
 
@@ -192,6 +198,159 @@ class Driver:
     def base(self) -> BaseSpec:
         """Discs and limits with which the agent moves."""
         return driving_base(self.session, self.number)
+
+
+class SeatSearch:
+    """Search for the seats that a player could use: one seat in a step, since a search may take 50 ms."""
+
+    def __init__(self, scene: Scene, seats: Seats | None) -> None:
+        self.flags = 0
+        """Flags `SITS` and `LIES` of the last search."""
+        self._seats, self._sought, self._place = seats, -OFFER_STEPS, b""
+        """Seats of the home for the person, and the step and the places of people of the last search."""
+        self._new = [(seat.edge[[0, 2]], lies) for seat in seats_of(scene) for lies in (False, True)]
+        """Edges (x, z) of the seats that have not been searched, and whether for room to lie there."""
+
+    def is_due(self, step: int, xz: Array) -> bool:
+        """Search one new seat near a place (x, z), and return whether it is time to ask for the nearest seat."""
+        if step == self._sought:
+            return False
+        gaps = [math.hypot(*(edge - xz)) for edge, _ in self._new]
+        if gaps and min(gaps) < AHEAD_M and self._seats is not None:
+            edge, lies = self._new.pop(gaps.index(min(gaps)))
+            # 0.01: only this seat
+            self._seats.nearest(edge, within_m=0.01, lies=lies)
+        if step < self._sought + OFFER_STEPS:
+            return False
+        self._sought = step
+        return True
+
+    def ask(self, xz: Array, taken: Sequence[Array], can_use: Callable[[bool], bool]) -> None:
+        """Update the flags of a player at a place (x, z), while others have ``taken`` seats; ``can_use`` tells of lying."""
+        place = b"".join(part.tobytes() for part in (xz, *taken))
+        # where nobody has moved, the search would find the same seats
+        if place != self._place:
+            self.flags = sum(flag for flag in (SITS, LIES) if can_use(flag == LIES))
+            self._place = place
+
+
+class SittingDriver(Driver):
+    """Driver of a person in tasks without skills, who can also sit and lie down."""
+
+    def __init__(self, session: Session, number: int) -> None:
+        super().__init__(session, number)
+        episode, body = session.episode, session.episode.roster[number].body
+        assert isinstance(body, Humanoid)
+        self.seats = Seats(episode.scene, episode.free, body)
+        """Seats of the home for the person."""
+        self.seat: SeatPlace | None = None
+        """Seat that the person uses: they sit down, sit, or get up."""
+        self._goal: SeatPlace | None = None
+        """Seat to which the guided walk leads."""
+        self._motion: Motion = iter(())
+        self._waits: tuple[Array, float] | None = None
+        """Next place and posture of a person who waits because another agent is in the way."""
+        self._gets_up, self._why = False, ""
+        self._search = SeatSearch(episode.scene, self.seats)
+
+    def follow(self, message: Act) -> str:
+        """Carry out a message: sit or lie down, or get up, as in tasks with skills."""
+        if not isinstance(message, Sit):
+            return super().follow(message)
+        sits = self.seat is not None
+        self.interrupt()
+        place = None if sits else self.seats.nearest(self._state.xz[0], self.taken, lies=message.lies)
+        if place is None:
+            return "" if sits else sentence("no_seat")
+        why = self.go(place.before[:2], place.before.item(2))
+        self._goal = None if why else place
+        return why
+
+    def interrupt(self) -> None:
+        """End the guided walk, and get up."""
+        super().interrupt()
+        self._goal = None
+        if self.seat is not None and not self._gets_up:
+            self._motion, self._gets_up = leave(self._here, self._state.seat.item(0, 1), self.seat), True
+            self._waits = None
+
+    def command(self) -> Velocity | PoseAction:
+        """Return the command for the next step: the motion to or from a seat, or else a velocity."""
+        if self.seat is None:
+            velocity = self.velocity()
+            if self._goal is None or self.guide is not None:
+                return Velocity(*velocity)
+            self._arrive(self._goal)
+        moved = self._waits or next(self._motion, None)
+        if self.seat is None or moved is None:
+            self.seat = None
+            return Velocity(*self.velocity())
+        (place, share), own = moved, self._state
+        discs = self.session.play.world.circles(self.number)[0]
+        now, then = (np.hypot(*(discs[:, :2] - xz).T) for xz in (own.xz[0], place[:2]))
+        # only those to whom the step leads: somebody who is too near already must not keep the person from leaving
+        blocked = ((then < now) & (then < discs[:, 2] + self.base.disc_radius_m)).any()
+        self._waits = moved if blocked else None
+        if blocked:
+            place, share = self._here, own.seat.item(0, 1)
+        # headings are never wrapped
+        heading = own.heading.item(0) + float(wrap_angle(place[2] - own.heading.item(0)))
+        return PoseAction(place[:2], heading, (self.seat.seat.height_m, float(share)))
+
+    def _arrive(self, goal: SeatPlace) -> None:
+        """Begin to sit down on a seat to which the guided walk has led, if it is still free."""
+        self._goal = None
+        if np.hypot(*(goal.before[:2] - self._state.xz[0])) > ARRIVED_M:
+            return  # somebody or something was in the way
+        try:
+            self.seats.place(goal.seat, self.taken)
+        except InputError:
+            self._why = sentence("no_seat")
+            return
+        self.seat, self._gets_up, self._motion = goal, False, remain(self._here, goal)
+
+    def after(self, result: StepResult) -> str:
+        """Return a sentence for the player, such as why they cannot sit down after all."""
+        why, self._why = self._why, ""
+        return why or super().after(result)
+
+    @property
+    def busy(self) -> bool:
+        """Return whether the person is led, sits or gets up."""
+        return super().busy or self.seat is not None
+
+    @property
+    def offers(self) -> int:
+        """Return the flags of the postures that the player could take now."""
+        if self.seat is not None:
+            return SEATED
+        if self.busy:
+            return 0
+        xz = self._state.xz[0]
+        if self._search.is_due(len(self.session.recorder), xz):
+            taken = self.taken
+            self._search.ask(xz, taken, lambda lies: self.seats.nearest(xz, taken, lies=lies) is not None)
+        return self._search.flags
+
+    @property
+    def taken(self) -> list[Array]:
+        """Places ``(x, z, heading)`` of seats that others use or go to, and the distance to keep from them [m], [4] each."""
+        play = self.session.play
+        others = [own for k, own in enumerate(play.world.state.agents) if k != self.number]
+        seated = [own for own in others if isinstance(own, HumanState) and own.seat[0, 1] > 0]
+        apart = [APART_M if own.seat[0, 1] <= 1 else LIES_APART_M for own in seated]
+        stations = [station.taken for who, station in play.team.stations.items() if who != self.number]
+        return stations + [np.array([*own.xz[0], own.heading[0], m]) for own, m in zip(seated, apart, strict=True)]
+
+    @property
+    def _state(self) -> HumanState:
+        own = self.session.play.world.state.agents[self.number]
+        assert isinstance(own, HumanState)
+        return own
+
+    @property
+    def _here(self) -> Array:
+        return np.append(self._state.xz[0], self._state.heading)
 
 
 class SkillDriver(Driver):
@@ -390,13 +549,8 @@ class PersonDriver(SkillDriver):
         self.head: tuple[float, float] | None = None
         self.gesture, self.gestured = "", 0
         """Name of the gesture, and number of its steps so far."""
-        self._seats, self._sought, self._place = 0, -OFFER_STEPS, b""
-        """Flags of the seats that are near, and the step and the places of people for which they were sought."""
+        self._search = SeatSearch(session.episode.scene, self.body.seats)
         self._chores: list[dict[str, str]] = []
-        self._new_seats = [
-            (seat.edge[[0, 2]], lies) for seat in seats_of(session.episode.scene) for lies in (False, True)
-        ]
-        """Edges (x, z) of the seats that have not been searched, and whether for room to lie there."""
 
     def follow(self, message: Act) -> str:
         """Carry out a message; messages about hands and head set their targets."""
@@ -481,7 +635,7 @@ class PersonDriver(SkillDriver):
         if self.body.seat is not None:
             return SEATED
         self._seek()
-        return 0 if self.busy or self.hands_full else CAN_GESTURE | self._seats
+        return 0 if self.busy or self.hands_full else CAN_GESTURE | self._search.flags
 
     @property
     def chores(self) -> list[dict[str, str]]:
@@ -491,29 +645,14 @@ class PersonDriver(SkillDriver):
 
     def _seek(self) -> None:
         """Search for seats and chores near a player whose body is free, if the last search is old enough."""
-        step = len(self.session.recorder)
-        if self.busy or step == self._sought:
+        if self.busy or not self._search.is_due(len(self.session.recorder), self.body.xz):
             return
-        self._search_ahead()
-        if step < self._sought + OFFER_STEPS:
-            return
-        self._sought, team = step, self.session.play.team
-        seated = [actor.seat.taken for actor in team.actors if getattr(actor, "seat", None) is not None]
-        place = b"".join(part.tobytes() for part in (self.body.xz, *seated))
-        # where nobody has moved, the search would find the same seats
-        if place != self._place and not self.hands_full:
-            able = {flag: not self.session.refusal(self.name, SitSkill(flag == LIES)) for flag in (SITS, LIES)}
-            self._seats, self._place = sum(flag for flag in able if able[flag]), place
+        if not self.hands_full:
+            team = self.session.play.team
+            taken = [actor.seat.taken for actor in team.actors if getattr(actor, "seat", None) is not None]
+            self._search.ask(self.body.xz, taken, lambda lies: not self.session.refusal(self.name, SitSkill(lies)))
         if self.hold is not None:
             self._chores = [{"name": name, "thing": thing} for name, thing in self.hold.offers(self.body)]
-
-    def _search_ahead(self) -> None:
-        """Search one new seat near the player, so that the seats that come within reach are known."""
-        gaps = [math.hypot(*(edge - self.body.xz)) for edge, _ in self._new_seats]
-        if gaps and min(gaps) < AHEAD_M and self.body.seats is not None:
-            edge, lies = self._new_seats.pop(gaps.index(min(gaps)))
-            # 0.01: only this seat
-            self.body.seats.nearest(edge, 0.01, lies=lies)
 
     @property
     def hold(self) -> Any:

@@ -287,7 +287,7 @@ class LiveGame:
         self.app.reset(self.session)
         self.drivers: dict[int, Driver] = {k: self.app.driver(k) for k in table.numbers}
         for k in table.numbers:
-            self.session.recorder.beside |= {seq_column(k): np.int32(-1), rtt_column(k): np.float32(np.nan)}
+            self.session.recorder.beside |= {f"input.user_{k}.seq": np.int32(-1), rtt_column(k): np.float32(np.nan)}
         bodies = tuple(m.body for m in episode.roster)
         self.packer = StatePacker(self.session.recorder.header, bodies, episode.scene)
         self.packed: PackedStep | None = None
@@ -348,7 +348,7 @@ class LiveGame:
             self.remarks.append(said)
         beside = self.session.recorder.beside
         if message.seq is not None:
-            beside[seq_column(number)] = np.int32(message.seq)
+            beside[f"input.user_{number}.seq"] = np.int32(message.seq)
         if message.rtt > 0:
             beside[rtt_column(number)] = np.float32(min(message.rtt, MOST_RTT_MS))
         # what the message makes the agent do is recorded beside it (kind ``command``), so that verifying needs no app

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies.people.kernels.hands import lead_arm, turn_head
 from h3data.bodies.people.planted_gait import on_stairs
 from h3data.bodies.people.reach import Hand, reacher
+from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import Array, pose_inverse, pose_multiply, smoothstep
 from sim_kinematic.agents.arm_tuck import HANDS
 from sim_kinematic.agents.driven.commands import (
@@ -25,15 +25,14 @@ from sim_kinematic.agents.driven.commands import (
     PersonCommand,
 )
 from sim_kinematic.agents.driven.object_room import ObjectRoom
-from sim_kinematic.agents.person import FADE_STEPS
+from sim_kinematic.agents.person import FADE_STEPS, Person
 from sim_kinematic.agents.person_skills import HANDS as HANDS_TRIED
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robots.skills import RobotActor
-from sim_kinematic.agents.sitting import show_seated
 from sim_kinematic.agents.skills import CHORE, CONTROL, SIT, Action, Skill, SkillResult
 from sim_kinematic.agents.stands import nearest_stand
 from sim_kinematic.crowd.errands import Motion
-from sim_kinematic.crowd.seating import SeatPlace, Seats, leave_seat, lying_way, take_seat
+from sim_kinematic.crowd.seating import SeatPlace, Seats, leave, remain
 from sim_kinematic.motion.gait import drive_people
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import HumanState
@@ -55,8 +54,6 @@ class DrivenPersonSpec:
     """Speed at which the robot's hand closes around the object that it is given [m/s]."""
     eyes_m: float = 1.4
     """Height at which a person who is about to sit down looks ahead [m]."""
-    seat_within_m: float = 3.0
-    """Distance within which the nearest seat is used when a person has to sit down [m]."""
 
 
 DRIVEN = DrivenPersonSpec()
@@ -222,11 +219,11 @@ class DrivenPerson(PersonActor):
         return self._drives and bool(moves or self.leaving is not None or self._shares.any() or self._head.any())
 
     def _nearest_seat(self, action: Action) -> SeatPlace | None:
-        """Return the nearest seat that the person can use; None: there is none within `DRIVEN.seat_within_m`."""
+        """Return the nearest seat that the person can use; None: there is none within 3 m."""
         # only people who are driven have this field
         others = () if self.company is None else self.company.actors
         taken = [other.seat.taken for other in others if getattr(other, "seat", None) is not None]
-        return self.seats and self.seats.nearest(self.xz, DRIVEN.seat_within_m, taken, lies=bool(action.command))
+        return self.seats and self.seats.nearest(self.xz, taken, lies=bool(action.command))
 
     def _sit(self, action: Action) -> Skill:
         """Walk before the nearest seat, sit or lie down and remain there; whatever is asked next gets up first."""
@@ -244,16 +241,12 @@ class DrivenPerson(PersonActor):
         walk = self.person.walk
         # feet that keep out of furniture would be pushed away from the seat that they stand close to
         self._tables, walk.tables = walk.tables, on_stairs(self.person.body.gait_tables, walk.tables.heights)
-        self.seat, way = place, lying_way(place)
+        self.seat = place
         try:
-            return (
-                yield from self.perform(chain(take_seat(np.append(self.xz, self.heading), place), way, repeat(way[-1])))
-            )
+            return (yield from self.perform(remain(np.append(self.xz, self.heading), place)))
         finally:
             # also where another command closes this generator: getting up begins from wherever they are
-            at, share = self._seated
-            back = [step for step in lying_way(place)[::-1] if step[1] < share]
-            self.leaving = chain(back, leave_seat(place.stand if back else at, place, min(share, 1.0)))
+            self.leaving = leave(*self._seated, place)
 
     def perform(self, motion: Motion) -> Skill:
         """Show a motion from step to step; what an interruption leaves of it is shown before the next command is followed."""
@@ -410,3 +403,15 @@ class DrivenPerson(PersonActor):
 
 def _point(action: Action) -> Array:
     return np.array(action.command, np.float64)
+
+
+def show_seated(person: Person, place: SeatPlace | None, at: Array, share: float) -> None:
+    """Pose a person at a place ``(x, z, heading)`` [3], between standing (share 0, or no seat) and sitting (1)."""
+    gait = HumanState.zeros(1)
+    gait.xz[0], gait.heading[0] = at[:2], at[2]
+    person.base = person.root_at(gait)
+    quats, pelvis = person.walk.stride(person.base, person.heading)
+    quats = person.with_arms(quats)
+    if place is not None:
+        take_seats(person.body, quats[None], pelvis[None], [(place.seat.height_m, share)])
+    person.show("walk", quats, pelvis)

@@ -15,6 +15,7 @@ from sim_kinematic.contact.frames import root_pose
 from sim_kinematic.crowd.crowd import VERSION, Crowd, CrowdModel
 from sim_kinematic.crowd.errands import Guide, HandWork, Station
 from sim_kinematic.crowd.roles import Role
+from sim_kinematic.crowd.seating import APART_M, LIES_APART_M
 from sim_kinematic.crowd.traits import Traits
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.step import discs_at
@@ -40,6 +41,11 @@ class CrowdMember:
     """State of the person's hands; None: they handle nothing."""
     daily: bool = False
     """True if the person follows a routine."""
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Facts about the person in recordings: model, version, traits and role."""
+        return {"model": self.model, "version": self.version, **self.traits._asdict(), **self.role._asdict()}
 
 
 class Moment(NamedTuple):
@@ -105,8 +111,8 @@ class Crowds:
         """Rows of `Moment.places` as each crowd takes them: its people, discs of robots, all others; and the first of these;
         and those of its people whose hands work."""
         self._moved: dict[int, PoseAction] = {}
-        self._places: dict[Any, Station] = {}
-        """Stations in use, by the person who uses them."""
+        self.stations: dict[Any, Station] = {}
+        """Stations in use, by the person who uses them; of people who are in none of the crowds by their number."""
         self.new_events = new_events
         """Reactions to robots and activities that people of the crowds began in the last step, and refusals."""
 
@@ -142,7 +148,7 @@ class Crowds:
                 seed=people[0].seed,
                 stride=people[0].walker.stride,
                 # one for all crowds, so that people of two models do not sit down on one seat
-                places=self._places,
+                places=self.stations,
                 version=min(person.version for person in people),
                 daily=any(person.daily for person in people),
             )
@@ -154,6 +160,14 @@ class Crowds:
             workers = [(n, member, member.hands) for n, member in members.items() if member.hands is not None]
             rows, first = every if order == list(discs) else (np.array(order), np.array(own))
             self._order[model] = rows, first, workers
+            # those who are in none of the crowds
+            self._others = sorted({*range(robots, robots + all_people)}.difference(*self._members.values()))
+        for k in self._others:
+            own = self._world.state.people[k - robots]
+            self.stations.pop(k, None)
+            if own.seat[w, 1] > 0.0:
+                taken = np.array([*own.xz[w], own.heading[w], APART_M if own.seat[w, 1] <= 1.0 else LIES_APART_M])
+                self.stations[k] = Station("", 0.0, taken, lambda *_: iter(()))
         crowd, (order, own, workers) = self._crowds[model], self._order[model]
         places, headings = crowd.step(
             moment.places[w, order],

@@ -81,14 +81,8 @@ class CrowdPolicy:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Facts about the person in recordings: model, version, traits and role."""
-        facts = {
-            "model": self.member.model,
-            "version": self.member.version,
-            **self.member.traits._asdict(),
-            **self.member.role._asdict(),
-        }
-        return facts | {"routine": [list(stop) for stop in self._routine.stops] if self._routine else []}
+        """Facts about the person in recordings (`CrowdMember.facts`), and the stops of their routine."""
+        return self.member.facts | {"routine": [list(stop) for stop in self._routine.stops] if self._routine else []}
 
     def _guide(self, xz: NDArray[np.float64], goal: NDArray[np.float64] | None, taken: Sequence[Array]) -> Errand:
         if goal is None and self._routine is not None:

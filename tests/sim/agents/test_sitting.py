@@ -10,16 +10,16 @@ import pytest
 
 import h3data
 from h3data.bodies import load_humanoid
+from h3data.bodies.people.planted_gait import on_stairs
 from h3data.geometry import ground_pose, quat_from_heading
 from h3data.recording import write_mcap
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.seats import seats_of
 from sim_kinematic.agents.driven.commands import PersonCommand, Sit
-from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.agents.person import Person, joint_steps, run
-from sim_kinematic.agents.sitting import sit
-from sim_kinematic.crowd.seating import SeatPlace, Seats
+from sim_kinematic.agents.driven.person import DrivenPerson, show_seated
+from sim_kinematic.agents.person import MotionResult, Person, Skill, joint_steps, run
+from sim_kinematic.crowd.seating import SeatPlace, Seats, sit_for
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.sessions import Session
@@ -34,6 +34,21 @@ def home() -> Scene:
 def bed(home: Scene) -> SeatPlace:
     free = FreeSpace.from_scene(home, radius_m=0.25)
     return Seats(home, free, load_humanoid("female_0")).place(next(s for s in seats_of(home) if s.name == "bed_0:0"))
+
+
+def sit(person: Person, place: SeatPlace, seconds: float) -> Skill:
+    """Sit down from the place in front of a seat, sit for some time, get up and step away."""
+    floor = person.walk.tables
+    # feet that keep out of furniture would be pushed away from the seat that they stand close to
+    person.walk.tables = on_stairs(person.body.gait_tables, floor.heights)
+    try:
+        here = np.append(person.base[[0, 2]], person.heading)
+        for at, share in sit_for(here, place, seconds):
+            show_seated(person, place, at, share)
+            yield
+    finally:
+        person.walk.tables = floor
+    return MotionResult(success=True)
 
 
 def test_seats_of_a_home(home: Scene) -> None:
@@ -111,7 +126,7 @@ def test_a_driven_person_sits_until_a_key_moves_them(bed: SeatPlace) -> None:
 
 def test_a_driven_person_who_is_stopped_on_the_way_down_gets_up() -> None:
     session, person = begun(seed=3)
-    place = person.seats.nearest(person.xz, 30.0)  # type: ignore[union-attr]
+    place = person.seats.nearest(person.xz, within_m=30.0)  # type: ignore[union-attr]
     assert place is not None
     person.person.set_pose(
         person.person.quats,

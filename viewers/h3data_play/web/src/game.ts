@@ -207,8 +207,9 @@ export class Game {
   }
 
   private assume(wish: "sit" | "lie" | "wave" | "phone"): void {
-    if (!this.hands || !this.person) this.hud.toast(say(wish === "sit" ? "no_sitting" : "no_posture"));
-    else if (wish === "sit" || wish === "lie") this.net.send({ k: "sit", lies: wish === "lie" });
+    const rests = wish === "sit" || wish === "lie";
+    if (!this.person || !(this.hands || rests)) this.hud.toast(say(wish === "sit" ? "no_sitting" : "no_posture"));
+    else if (rests) this.net.send({ k: "sit", lies: wish === "lie" });
     else this.net.send({ k: "gesture", name: wish });
   }
 

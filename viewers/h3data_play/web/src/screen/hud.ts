@@ -66,7 +66,7 @@ export class Hud {
     const postures = (things || joints) && person;
     const there: Record<string, boolean> = {
       act: things, goto: things, turn: joints, drop: things && person, give: things && person && robot,
-      sit: postures, lie: postures, wave: postures, phone: postures, chore: chores, use: places, do: places, talk,
+      sit: person, lie: person, wave: postures, phone: postures, chore: chores, use: places, do: places, talk,
     };
     const rows = KEYS.filter(([, name]) => there[name] ?? true);
     $("keys").replaceChildren(
@@ -78,7 +78,7 @@ export class Hud {
     );
     const told = ["help_pointing", things && "help_things", things && person && "help_places", joints && "help_joints"];
     setText($("help-text"), told.filter((name) => name !== false).map((name) => say(name)).join(" "));
-    setText($("help-touch"), [say("help_stick"), things || joints ? say("help_thumbs") : "", postures ? say("help_postures") : ""].join(" ").trim());
+    setText($("help-touch"), [say("help_stick"), things || joints ? say("help_thumbs") : "", postures ? say("help_postures") : person ? say("help_seats") : ""].join(" ").trim());
   }
 
   on(button: string, press: () => void, signal: AbortSignal): void {

@@ -482,6 +482,40 @@ async function hands() {
   return { toasts, keys, help, mouse, again, sent, ...(await player.close()) };
 }
 
+/** A task without things to take: by keys the person lies down near `LINK@X,Z`, gets up, and sits; by fingers it has the buttons. */
+async function seats() {
+  const [link, at] = url.split("@");
+  const [x, z] = at.split(",").map(Number);
+  const player = await openPage(link, { width: 1280, height: 720, touch: true });
+  await player.started();
+  const flags = "probe.game.net.latest.flags";
+  const text = (id) => player.ask(`document.getElementById('${id}').textContent`);
+  const help = [await text("keys"), await text("help-touch")];
+  await player.press("x");
+  await player.nap(300);
+  const wave = await text("toast");
+  await player.ask(`probe.game.net.send({ k: "goto", p: [${x}, 0, ${z}] }); 0`);
+  await player.nap(500);
+  await player.idle();
+  await player.until(`(${flags} & 32) !== 0`, "lying down to be offered");
+  await player.ask('probe.game.input.device = "touch"; 0');
+  await player.drawn(3);
+  const near = await player.ask("[...document.querySelectorAll('#postures button')].filter((button) => button.offsetParent).map((button) => button.textContent)");
+  await player.shot(picture("near"));
+  await player.press("l");
+  await player.until(`(${flags} & 64) !== 0`, "the person to lie down", 60_000);
+  await player.nap(9000);
+  await player.shot(picture("lies"));
+  await player.press("c");
+  await player.until(`(${flags} & 72) === 0`, "the person to stand", 60_000);
+  await player.press("c");
+  await player.until(`(${flags} & 64) !== 0`, "the person to sit", 60_000);
+  await player.nap(4500);
+  await player.drawn(3);
+  await player.shot(picture("sits"));
+  return { help, wave, near, ...(await player.close()) };
+}
+
 /** The tutorial: to the ring, by a turn to the thing, then by one key. */
 async function tutorial() {
   const player = await openPage(url);
@@ -767,6 +801,6 @@ const OVERLAPS = `(() => {
   return [...out, ...seen.flatMap(([a, one], k) => seen.slice(k + 1).flatMap(([b, two]) => (on(one, two) ? [[a, b]] : [])))];
 })()`;
 
-const SCENARIOS = { task, walk, names, click, reconnect, headset, headsetStays, together, sizes, layout, postures, chores, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
+const SCENARIOS = { task, walk, names, click, reconnect, headset, headsetStays, together, sizes, layout, postures, seats, chores, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
