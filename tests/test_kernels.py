@@ -12,7 +12,9 @@ import pickle
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numba
@@ -251,6 +253,7 @@ def grown(x):
 def many(x):
     return SIZE * grown(x)
 """
+HIGHER, BASE = shipped.LEVELS
 USE = "from h3data.sample import many; print(many(2.0), many(2), sum(many.stats.cache_misses.values()))"
 
 
@@ -264,7 +267,7 @@ class Site:
             text = "" if name == "__init__" else (ROOT / "h3data" / f"{name}.py").read_text()
             (folder / "h3data" / f"{name}.py").write_text(text)
         shutil.copytree(ROOT / "h3data" / "kernels", folder / "h3data" / "kernels")
-        self.kernels = folder / shipped.PACKAGE / shipped.folder_name()
+        self.kernels, self.higher = (folder / shipped.PACKAGE / shipped.folder_name(level) for level in (BASE, HIGHER))
         self.kernels.mkdir(parents=True)
 
     def run(self, *, size=3, step=1, comment="# nothing", imports="", record=False, options=(), **settings) -> str:
@@ -275,7 +278,7 @@ class Site:
         environment |= {"H3DATA_QUIET": "1", "PYTHONDONTWRITEBYTECODE": "1", **settings}
         if record:
             environment |= {
-                "NUMBA_CPU_NAME": shipped.LEVEL,
+                "NUMBA_CPU_NAME": BASE,
                 "NUMBA_CPU_FEATURES": "",
                 shipped.RECORD: str(self.kernels),
             }
@@ -287,8 +290,8 @@ class Site:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
-    if not shipped.folder_name().endswith(shipped.LEVEL):
-        pytest.skip("kernels are shipped for x86-64")
+    if shipped.lacking(BASE):
+        pytest.skip(f"kernels are shipped for {BASE}")
     made = Site(tmp_path_factory.mktemp("site"))
     assert made.run(record=True) == "9.0 9 2"
     assert len(list(made.kernels.iterdir())) == 2
@@ -321,28 +324,97 @@ def test_damaged_kernels_are_compiled(site: Site):
             path.write_bytes(data)
 
 
-def test_a_processor_without_the_features_gets_none(monkeypatch):
-    shipped._found.cache_clear()
-    monkeypatch.setattr(shipped, "LEVEL_FEATURES", ("avx2", "a_feature_of_the_future"))
+def test_damaged_kernels_of_a_higher_level_are_those_of_the_lower_one(site: Site):
+    site.higher.mkdir()
+    try:
+        for path in site.kernels.iterdir():  # the other kernel is not there at all
+            (site.higher / path.name).write_bytes(b"")
+            break
+        assert site.run() == "9.0 9 0"
+    finally:
+        shutil.rmtree(site.higher)
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of a package of kernels for both levels, which lies beside a copy of h3data; both are empty."""
     for name in [name for name in os.environ if name.startswith("NUMBA_")]:
         monkeypatch.delenv(name)
-    try:
-        assert shipped.folder() is None
-        assert "it lacks a_feature_of_the_future" in shipped.missing() or "h3data-kernels" in shipped.missing()
-    finally:
-        shipped._found.cache_clear()
+    monkeypatch.setattr(shipped, "__file__", str(tmp_path / "h3data" / "kernels" / "shipped.py"))
+    monkeypatch.setattr(shipped.platform, "machine", lambda: "x86_64")
+    for level in shipped.LEVELS:
+        (tmp_path / shipped.PACKAGE / shipped.folder_name(level)).mkdir(parents=True)
+    shipped._found.cache_clear()
+    yield tmp_path / shipped.PACKAGE
+    shipped._found.cache_clear()
+
+
+def _levels(monkeypatch: pytest.MonkeyPatch, *without: str) -> list[str]:
+    """Levels whose kernels a processor without some features gets, the first one first."""
+    features = {name: name not in without for name in shipped.LEVELS[HIGHER]}
+    monkeypatch.setattr(shipped, "llvm", SimpleNamespace(get_host_cpu_features=lambda: features))
+    shipped._found.cache_clear()
+    return [path.name.partition("-linux-")[2] for path in shipped.folders()]
+
+
+def test_the_features_of_the_processor_choose_the_levels(package: Path, monkeypatch: pytest.MonkeyPatch):
+    assert _levels(monkeypatch) == [HIGHER, BASE]
+    assert shipped.missing() == ""
+    for name in set(shipped.LEVELS[HIGHER]) - set(shipped.LEVELS[BASE]):
+        assert _levels(monkeypatch, name) == [BASE]
+    assert _levels(monkeypatch, "avx2", "fma") == []
+    assert shipped.missing() == f"the processor is not of level {BASE}: it lacks avx2, fma"
+    monkeypatch.setattr(shipped.platform, "machine", lambda: "aarch64")
+    assert _levels(monkeypatch) == []
+
+
+def test_levels_that_are_not_shipped_are_left_out(package: Path, monkeypatch: pytest.MonkeyPatch):
+    (package / shipped.folder_name(HIGHER)).rmdir()
+    assert _levels(monkeypatch) == [BASE]
+    (package / shipped.folder_name(BASE)).rmdir()
+    assert _levels(monkeypatch) == []
+    assert shipped.missing().startswith("h3data-kernels has none for ")
+    package.rmdir()
+    assert _levels(monkeypatch) == []
+    assert shipped.missing() == shipped.NOT_INSTALLED
+
+
+def test_settings_of_numba_choose_one_level_or_none(package: Path, monkeypatch: pytest.MonkeyPatch):
+    for level in shipped.LEVELS:
+        monkeypatch.setenv("NUMBA_CPU_NAME", level)
+        monkeypatch.setenv("NUMBA_CPU_FEATURES", "")
+        assert _levels(monkeypatch) == [level]
+        monkeypatch.setenv("NUMBA_CPU_FEATURES", "-fma")
+        assert _levels(monkeypatch) == []
+        assert shipped.missing() == "NUMBA_CPU_FEATURES, NUMBA_CPU_NAME may change what is compiled"
 
 
 def test_only_what_is_beside_h3data_is_read(tmp_path: Path, monkeypatch):
     """Files of compiled kernels are pickles: a folder of that name elsewhere must not be opened."""
-    (tmp_path / shipped.PACKAGE / shipped.folder_name()).mkdir(parents=True)
+    (tmp_path / shipped.PACKAGE / shipped.folder_name(BASE)).mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     shipped._found.cache_clear()
     try:
-        assert tmp_path not in (shipped.folder() or ROOT).parents
+        assert not any(tmp_path in folder.parents for folder in shipped.folders())
     finally:
         shipped._found.cache_clear()
+
+
+@pytest.mark.slow
+def test_the_builder_compiles_for_another_level(tmp_path: Path):
+    """The kernel of a file for the lowest level, for the same arguments and under the same name."""
+    folder = ROOT / "pipelines" / shipped.PACKAGE / shipped.folder_name(BASE)
+    given = next(folder.glob("h3data.bodies.people.kernels.attention.turn_gaze-*"), None)
+    if given is None or shipped.lacking(HIGHER):
+        pytest.skip(f"needs {folder.name} and a processor of {HIGHER}")
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    environment |= {"NUMBA_CPU_NAME": HIGHER, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
+    environment |= {shipped.RECORD: str(tmp_path), "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'pipelines'}"}
+    subprocess.run([sys.executable, folder.parent / "build.py", given], env=environment, check=True)
+    assert (tmp_path / given.name).is_file()
+    fields = [pickle.loads(lzma.decompress(path.read_bytes())) for path in (given, tmp_path / given.name)]
+    assert fields[0][3] == fields[1][3], "arguments and result"
 
 
 def test_types_have_digests_that_tell_them_apart():
@@ -399,10 +471,10 @@ def test_shipped_kernels_belong_to_this_code():
 
     Stale files are never used; deleting them mends this too, and their kernels are compiled at first use again.
     """
-    folder = ROOT / "pipelines" / shipped.PACKAGE / shipped.folder_name()
-    if not folder.is_dir():
-        pytest.skip(f"no kernels are shipped for {shipped.folder_name()}")
-    stamps = {path.name.rsplit("-", 1)[0] for path in folder.iterdir()}
+    folders = [ROOT / "pipelines" / shipped.PACKAGE / shipped.folder_name(level) for level in shipped.LEVELS]
+    stamps = {path.name.rsplit("-", 1)[0] for folder in folders for path in folder.glob("*")}
+    if not stamps:
+        pytest.skip(f"no kernels are shipped for {folders[-1].name}")
     for stamp in stamps:
         importlib.import_module(stamp.rsplit("-", 1)[0].rpartition(".")[0])
     now = {shipped.code_stamp(kernel) for kernel in decorators._kernels if kernel.__module__.startswith(digests.OURS)}

@@ -203,7 +203,7 @@ def _announce() -> None:
                 return
         announcer.detach()  # open until the process ends
     text = ANNOUNCEMENT
-    if shipped.missing() == shipped.NOT_INSTALLED and shipped.folder_name().endswith(f"linux-{shipped.LEVEL}"):
+    if shipped.missing() == shipped.NOT_INSTALLED and sys.platform == "linux":
         text += " The package h3data-kernels has them compiled."
     if _log.hasHandlers():
         _log.info(text)

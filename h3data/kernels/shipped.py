@@ -5,6 +5,8 @@ name has the digests of everything that determines the code (`h3data.kernels.dig
 Python and numba, the system and the level of the processor: code that does not fit has another name and is not found,
 so the kernel is compiled as if there were no package. The same applies if there is no package, another processor, a
 damaged file, or a setting of numba that changes the code (``NUMBA_CPU_NAME=host`` compiles for just this processor).
+Where the processor has all features of several levels (`LEVELS`), the folder of the highest one comes first. It holds only
+the kernels that are faster there.
 
 Pickles can run code, as modules can. They are therefore read from one place only: the package beside this one in the
 same folder of installed packages, or in the same checkout.
@@ -39,24 +41,16 @@ from h3data.kernels.digests import OURS, UnknownError, code_digest, types_digest
 
 log = logging.getLogger(__name__)
 
-LEVEL = "x86-64-v3"
-"""Name of the set `LEVEL_FEATURES`. Code for this level is as fast as code for the machine's own processor, except for
-step kernels on processors with AVX-512."""
-LEVEL_FEATURES = (
-    "avx",
-    "avx2",
-    "bmi",
-    "bmi2",
-    "cx16",
-    "f16c",
-    "fma",
-    "lzcnt",
-    "movbe",
-    "popcnt",
-    "sahf",
-    "sse4.2",
-    "ssse3",
-)
+_V3 = ("avx", "avx2", "bmi", "bmi2", "cx16", "f16c", "fma", "lzcnt", "movbe", "popcnt", "sahf", "sse4.2", "ssse3")
+LEVELS = {
+    "x86-64-v4": (*_V3, "avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"),
+    "x86-64-v3": _V3,
+}
+"""Features that each level of processors has for which kernels are shipped, the highest level first.
+
+Results are the same, to the byte. LLVM computes with vectors of 256 bits for both levels; the higher one has twice as many
+registers, masks and some instructions more.
+"""
 NOT_INSTALLED = "h3data-kernels is not installed"
 RECORD = "H3DATA_KERNELS_RECORD"
 PACKAGE = "h3data_kernels"
@@ -69,16 +63,15 @@ def loaded_files() -> dict[str, int]:
     return dict(_loaded)
 
 
-def folder_name() -> str:
-    """Return the name of the folder for this Python, numba, system and processor."""
-    machine = LEVEL if platform.machine() == "x86_64" else platform.machine()
-    return f"{sys.implementation.cache_tag}-numba{numba.__version__}-{sys.platform}-{machine}"
+def folder_name(level: str) -> str:
+    """Return the name of the folder for this Python, numba and system, and a level of processors."""
+    return f"{sys.implementation.cache_tag}-numba{numba.__version__}-{sys.platform}-{level}"
 
 
-def folder() -> Path | None:
-    """Return the folder of the shipped kernels for this machine, or None if there are none."""
+def folders() -> tuple[Path, ...]:
+    """Return the folders of the shipped kernels for this machine, the fastest level first."""
     found = _found()
-    return found if isinstance(found, Path) else None
+    return () if isinstance(found, str) else found
 
 
 def missing() -> str:
@@ -87,37 +80,43 @@ def missing() -> str:
     return found if isinstance(found, str) else ""
 
 
+def lacking(level: str) -> list[str]:
+    """Return the features of a level that this processor lacks."""
+    features = llvm.get_host_cpu_features() if platform.machine() == "x86_64" else {}
+    return [name for name in LEVELS[level] if not features.get(name)]
+
+
 @functools.cache
-def _found() -> Path | str:
-    """Return the folder, or why there is none."""
+def _found() -> tuple[Path, ...] | str:
+    """Return the folders, or why there are none."""
     # these do not change what is compiled
     harmless = {"NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER", "NUMBA_DISABLE_PERFORMANCE_WARNINGS"}
     settings = {name for name in os.environ if name.startswith("NUMBA_")} - harmless
+    levels = list(LEVELS)
     # the very settings with which ``make kernels`` compiles
-    if os.environ.get("NUMBA_CPU_NAME") == LEVEL and os.environ.get("NUMBA_CPU_FEATURES") == "":
+    if os.environ.get("NUMBA_CPU_NAME") in levels and os.environ.get("NUMBA_CPU_FEATURES") == "":
+        levels = [os.environ["NUMBA_CPU_NAME"]]
         settings -= {"NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"}
     if settings or sys.flags.optimize:
         return f"{', '.join(sorted(settings)) or 'python -O'} may change what is compiled"
+    fitting = [level for level in levels if not lacking(level)]
+    if not fitting:
+        return f"the processor is not of level {levels[-1]}: it lacks {', '.join(lacking(levels[-1]))}"
     here = Path(__file__).parents[2]  # of all packages: site-packages, or a checkout
     packages = [each / PACKAGE for each in (here, here / "pipelines") if (each / PACKAGE).is_dir()]
     if not packages:
         return NOT_INSTALLED
-    folders = [package / folder_name() for package in packages if (package / folder_name()).is_dir()]
-    if not folders:
-        return f"h3data-kernels has none for {folder_name()}"
-    features = llvm.get_host_cpu_features()
-    if lacking := [name for name in LEVEL_FEATURES if not features.get(name)]:
-        return f"the processor is not of level {LEVEL}: it lacks {', '.join(lacking)}"
-    return folders[0]
+    named = (each / folder_name(level) for level in fitting for each in packages)
+    return tuple(filter(Path.is_dir, named)) or f"h3data-kernels has none for {folder_name(fitting[0])}"
 
 
 def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
     """Load the shipped machine code of a kernel for arguments of these types; return False if there is none."""
-    shipped = folder()
-    name = None if shipped is None else file_name(dispatcher, kinds)
-    if shipped is None or name is None:
-        return False
-    path = shipped / name
+    name = file_name(dispatcher, kinds) if folders() else None
+    return name is not None and any(_load(dispatcher, kinds, folder / name) for folder in folders())
+
+
+def _load(dispatcher: Any, kinds: Sequence[types.Type], path: Path) -> bool:
     try:
         with lzma.open(path) as file:
             payload = pickle.load(file)
@@ -127,14 +126,14 @@ def load(dispatcher: Any, kinds: Sequence[types.Type]) -> bool:
     except FileNotFoundError:
         return False
     except Exception as fault:  # damaged, in one of the many ways that pickle and LLVM have to say so
-        log.warning("A shipped kernel is damaged and is compiled here (%s: %s): %s", type(fault).__name__, fault, path)
+        log.warning("A shipped kernel is damaged and not used (%s: %s): %s", type(fault).__name__, fault, path)
         return False
     dispatcher._cache_hits[tuple(kinds)] += 1
     dispatcher.targetctx.insert_user_function(result.entry_point, result.fndesc, [result.library])
     dispatcher.add_overload(result)
     _loaded[str(path)] = path.stat().st_size
     if RECORD in os.environ:
-        shutil.copy(path, _recorded(name))
+        shutil.copy(path, _recorded(path.name))
     return True
 
 

@@ -111,7 +111,7 @@ def test_work_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_compiling_aside_ends_with_the_block(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shipped, "folder", lambda: None)
+    monkeypatch.setattr(shipped, "folders", tuple)
     monkeypatch.setattr(warmup, "compiled_files", dict)
     with compiled_aside(["pictures"]) as aside:
         assert aside is not None
@@ -120,7 +120,7 @@ def test_compiling_aside_ends_with_the_block(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_nothing_is_compiled_aside_where_kernels_come_compiled(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(shipped, "folder", lambda: tmp_path)
+    monkeypatch.setattr(shipped, "folders", lambda: (tmp_path,))
     monkeypatch.setattr(warmup, "_start", None)
     with compiled_aside(["pictures"]) as aside:
         assert aside is None

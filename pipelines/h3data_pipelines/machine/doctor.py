@@ -159,11 +159,11 @@ def _kernels() -> str:
     """Return whether kernels that came compiled fit this machine."""
     from h3data.kernels import shipped
 
-    folder = shipped.folder()
-    if folder is None:
+    folders = shipped.folders()
+    if not folders:
         raise RuntimeError(f"{shipped.missing()} (not needed: all are compiled at first use, a minute in all)")
-    files = list(folder.iterdir())
-    return f"{len(files)}, {size_text(sum(file.stat().st_size for file in files))}, in {folder}"
+    sizes = {folder: [file.stat().st_size for file in folder.iterdir()] for folder in folders}
+    return "; ".join(f"{len(files)}, {size_text(sum(files))}, in {folder}" for folder, files in sizes.items())
 
 
 def _browser() -> str:

@@ -89,7 +89,7 @@ def compiled_aside(names: Sequence[str]) -> Iterator[subprocess.Popen[str] | Non
     from h3data.render.raster.raster import rasterise
 
     known = any(rasterise.__name__ in Path(file).name for file in compiled_files())
-    if known or shipped.folder() is not None:
+    if known or shipped.folders():
         yield None
         return
     aside = _start(names, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
