@@ -231,7 +231,8 @@ def check_task(command: type[Command], task: str, given: Iterable[str]) -> None:
 
 def _few(tasks: list[str]) -> str:
     """Return names as text, of more than three only the first two and a number."""
-    return " and ".join(tasks if len(tasks) < 4 else [", ".join(tasks[:2]), f"{len(tasks) - 2} others"])
+    *first, last = tasks if len(tasks) < 4 else [*tasks[:2], f"{len(tasks) - 2} others"]
+    return " and ".join(filter(None, (", ".join(first), last)))
 
 
 def python_value(option: Option, value: Any) -> Any:
