@@ -17,9 +17,8 @@ from h3data_crowds.robots import ROBOTS, SKILLS
 from sim_kinematic.agents.roster import AgentSpec, common_floor
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S
-from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
-from sim_kinematic.policies.learned import SHIPPED, is_learned, naming, network_of, stamped
-from sim_kinematic.policies.policy import FunctionPolicy
+from sim_kinematic.policies.assignment import PolicyMaker, learned_policy
+from sim_kinematic.policies.learned import SHIPPED, is_learned
 from sim_kinematic.sensing.encodings import SPEED_MPS
 from sim_kinematic.sensing.sensor import gps_compass, in_base_frame, way
 from sim_kinematic.sensing.table import Sensor
@@ -118,7 +117,7 @@ class CrowdNav(Task):
             kinds=("robot",),
         ),
         "people": Sensor(
-            lambda m: nearest_people(m),
+            nearest_people,
             [-1.0, -1.0, 0.0, -SPEED_MPS, -SPEED_MPS] * NEAREST,
             [1.0, 1.0, 1.0, SPEED_MPS, SPEED_MPS] * NEAREST,
             ("", "", "", "m/s", "m/s") * NEAREST,
@@ -136,17 +135,7 @@ class CrowdNav(Task):
         """Return the maker of a robot with the weights in a file; None for other names."""
         if kind != "robot" or not is_learned(name) or name in SHIPPED:
             return None
-        network = network_of(name)
-        if spec is not None:
-            with naming(name):
-                driver_of(network, CrowdNav.name)  # raises if the network was trained for another task
-
-        def learned(episode: Episode, number: int) -> AssignedPolicy:
-            with naming(name):
-                driver = driver_of(network, CrowdNav.name, robot=episode.roster[number].model)
-            return AssignedPolicy(FunctionPolicy(driver, episode.bases[number]), stamped(name), kind)
-
-        return learned
+        return learned_policy(kind, name, spec, self.name, driver_of)
 
     def sample(
         self, scene: Scene, free: FreeSpace, seed: int, spec: CrowdNavSpec, roster: tuple[AgentSpec, ...]

@@ -20,7 +20,7 @@ from sim_kinematic.crowd.errands import HandWork
 from sim_kinematic.crowd.roles import check_groups, read_role, routines
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.crowd.people import CrowdPolicy
-from sim_kinematic.policies.learned import PREFIX, weights_hint
+from sim_kinematic.policies.learned import PREFIX, naming, network_of, stamped, weights_hint
 from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still
 from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
 
@@ -237,6 +237,34 @@ def resolve_policy(task: Task, kind: str, choice: PolicyChoice, spec: Any = None
     raise InputError(
         f"Expected a policy by name, with a method act, or a function, got {choice!r}.", code="H3-POLICY-001"
     )
+
+
+def learned_policy(kind: str, name: str, spec: Any, task: str, play: Callable[..., Any]) -> PolicyMaker:
+    """Return the maker of a policy of velocities with the weights that a name refers to (`is_learned`).
+
+    Args:
+        kind: ``robot`` or ``human``.
+        name: ``weights:FILE`` or the name of a shipped policy.
+        spec: Rules of `resolve_policy`; unless None, the weights are checked now and not at the first episode.
+        task: Name of the task.
+        play: Function ``(network, task, robot="")`` that returns a new policy for one episode and refuses weights for
+            another task or robot.
+
+    Raises:
+        InputError: There are no such weights.
+        FormatError: The weights are for another task or another robot.
+    """
+    network = network_of(name)
+    if spec is not None:
+        with naming(name):
+            play(network, task)
+
+    def learned(episode: Episode, number: int) -> AssignedPolicy:
+        with naming(name):
+            choose = play(network, task, robot=episode.roster[number].model)
+        return AssignedPolicy(FunctionPolicy(choose, episode.bases[number]), stamped(name), kind)
+
+    return learned
 
 
 def _named(task: Task, kind: str, name: str, spec: Any) -> PolicyMaker:

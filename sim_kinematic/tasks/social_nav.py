@@ -29,9 +29,8 @@ from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.agents.waypoint_walker import HumanPlan, human_plan
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
-from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker
-from sim_kinematic.policies.learned import SHIPPED_NAVIGATORS, is_learned, naming, navigation_of, network_of, stamped
-from sim_kinematic.policies.policy import FunctionPolicy
+from sim_kinematic.policies.assignment import AssignedPolicy, PolicyMaker, learned_policy
+from sim_kinematic.policies.learned import SHIPPED_NAVIGATORS, is_learned, navigation_of
 from sim_kinematic.policies.social_nav import EXPERTS, POLICIES, ROBOT_SKILLS, Maneuvering
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
@@ -142,17 +141,7 @@ class SocialNav(Task):
         if kind not in self.usage.named_kinds:
             return None
         if is_learned(name):
-            network = network_of(name)
-            if spec is not None:
-                with naming(name):
-                    navigation_of(network, SocialNav.name)  # raises if the network was trained for another task
-
-            def learned(episode: Episode, number: int) -> AssignedPolicy:
-                with naming(name):
-                    player = navigation_of(network, SocialNav.name, robot=episode.roster[number].model)
-                return AssignedPolicy(FunctionPolicy(player, episode.bases[number]), stamped(name), kind)
-
-            return learned
+            return learned_policy(kind, name, spec, self.name, navigation_of)
         if name in EXPERTS:
             return lambda episode, number: AssignedPolicy(
                 Maneuvering(POLICIES[name], episode.bases[number]), name, kind
