@@ -597,7 +597,9 @@ def chosen_stops(
     for k in range(number if version > 8 else 0):
         if episode.roster[k].kind == "human":
             taken += _chosen(episode, k, parts, stream, kept, version, taken)[1]
-    return _chosen(episode, number, parts, stream, kept, version, taken)[0]
+    apart = _chosen(episode, number, parts, stream, kept, version, taken)[0]
+    # in a home with too few spots for all, who would have nothing to do shares those of others
+    return apart if apart or not taken else _chosen(episode, number, parts, stream, kept, version, ())[0]
 
 
 def _chosen(

@@ -190,6 +190,15 @@ def test_what_cannot_be_done_is_refused() -> None:
     assert ChoreRoutine(scene, free, [Stop("kitchen_counter_0", "put", 9.0)], body, start=near).next_stop(near) is None
 
 
+def test_everybody_has_something_to_do_in_a_home_with_few_spots() -> None:
+    home, people = "medium-open:3", ["human"] * 4
+    for seed in (0, 1):
+        recording = h3data.simulate(
+            "wander", home, roster=["robot", *people], agents={"human": "orca+breakfast"}, max_steps=1, seed=seed
+        )
+        assert len(recording.episode.info["people"]) == len(people)
+
+
 def test_robots_that_wander_see_people_in_the_posture_in_which_they_handle_things() -> None:
     body, free = load_humanoid("male_2"), FreeSpace.from_scene(hall(), cache=False)
     figure, state = ClipBody(body, 0, free, None), HumanState.zeros(1)
