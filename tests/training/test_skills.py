@@ -423,3 +423,9 @@ def test_one_that_sees_plays_in_rearrangement_and_is_verified(tmp_path: Path, ep
     recording = simulate(Rearrange(), short, {"robot": "greedy_nearest", "human": "both"})
     assert len({tuple(action) for action in recording.columns["agent_0.action"].round(4).tolist()}) > 4
     assert verify(recording).difference is None
+
+
+def test_a_second_stage_of_a_skill_plays_as_long_as_in_play_without_a_teacher() -> None:
+    for skill, steps in (("nav", SkillSpec().nav_steps), ("pick", SkillSpec().arm_steps)):
+        second = skill_recipe("fast", skill).second_stage()
+        assert (second.limit, second.teacher, second.critic_updates > 0) == (steps, 0.0, True)

@@ -8,6 +8,7 @@ from typing import Any
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data_training.settings import Settings
+from sim_kinematic.motion.spec import SkillSpec
 from sim_kinematic.policies.visual_policy import BASE_ACTIONS
 from sim_kinematic.sensing.table import OF_SKILLS
 from sim_kinematic.tasks.skills.skill_starts import SKILL_NAMES, Skill
@@ -121,8 +122,14 @@ class SkillSettings(Settings):
         return UNTAUGHT_GRIP if self.skill == "place" and not self.teacher else GRIPS[self.skill]
 
     def second_stage(self) -> SkillSettings:
-        """Return the settings of the second stage without the teacher, which a trained actor does not need."""
-        return replace(super().second_stage(), teacher=0.0)  # type: ignore[return-value]
+        """Return the settings of the second stage without the teacher, which a trained actor does not need.
+
+        Episodes are as long as in play. In most of those that a trained robot fails, it drives to and fro until its time
+        is over, and it can only learn to leave such a loop if it is in one.
+        """
+        rules = SkillSpec()
+        steps = rules.nav_steps if self.skill == "nav" else rules.arm_steps
+        return replace(super().second_stage(), teacher=0.0, limit=steps)  # type: ignore[return-value]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the settings by name, without those that skills do not use."""
