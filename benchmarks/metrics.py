@@ -98,7 +98,7 @@ def synthetic_recordings(number: int) -> Iterator[Recording]:
 def _from_disk(emit: Callable[[str, float, str], None], root: Path, profile: str, name: str) -> None:
     """Open, read, measure and tabulate in a fresh process, so that its memory is its own; start-up is not counted."""
     script = f"""
-import resource, time
+import time
 import h3data.metrics, h3data.metrics.batch as batch, h3data.metrics.reading as reading
 h3data.metrics.measure(next(reading.recordings([{str(root)!r}], {profile!r})), {profile!r})
 wall, cpu = time.perf_counter(), time.process_time()
@@ -106,7 +106,10 @@ table = batch.measure_files([{str(root)!r}], {profile!r})
 wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
 again = time.perf_counter()
 table.summary()
-print(len(table), wall, cpu, time.perf_counter() - again, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+again = time.perf_counter() - again
+# not ru_maxrss, which begins with the memory of the process that started this one
+peak = next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(len(table), wall, cpu, again, peak * 1024)
 """
     said = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout
     episodes, wall, cpu, intervals, memory = (float(word) for word in said.split())

@@ -1,16 +1,19 @@
 """Reading datasets other than episode by episode: training windows, SQL, tensors; on 20 episodes as our simulator's.
 
 Windows (robot, person, 20 objects, action; 4 + 8 steps) come in random order: kept in memory, from memory-mapped Arrow
-files, and from Parquet with nothing kept between two of them. Figures are CPU time.
+files, and from Parquet with nothing kept between two of them. Figures are CPU time, the median of some rounds without the
+garbage collector: a collection of the modules that are loaded takes longer than some rounds.
 """
 
 from __future__ import annotations
 
+import gc
 import os
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from statistics import median
 
 import numpy as np
 
@@ -19,7 +22,7 @@ from h3data.recording import Dataset, DatasetWriter
 from h3data_pipelines.commands.sql import connect, select
 from h3data_training.samples import WindowDataset
 
-EPISODES = 20
+EPISODES, ROUNDS = 20, 5
 COLUMNS = ["agent_0.base_pose", "agent_1.base_pose", "object_pose", "agent_0.action"]
 QUERY = "select episode_index, avg(dist_agents), bool_or(collision) from steps group by 1"
 
@@ -60,10 +63,18 @@ def _measure(emit: Callable[[str, float, str], None], root: str) -> None:
     emit("queries.to_torch_steps_per_cpu_s", steps / _cpu_s(lambda: dataset.to_torch(COLUMNS)), "steps/s")
     connection = connect({"ds": dataset}, profile=None)
     select(connection, QUERY).fetchall()
-    emit("queries.sql_group_by_cpu_ms", 1e3 * _cpu_s(lambda: select(connection, QUERY).fetchall()), "ms")
+    emit("queries.sql_group_by_cpu_ms", 1e3 * _cpu_s(lambda: select(connection, QUERY).fetchall(), 40), "ms")
 
 
-def _cpu_s(work: Callable[[], object]) -> float:
-    start = time.process_time()
-    work()
-    return time.process_time() - start
+def _cpu_s(work: Callable[[], object], rounds: int = ROUNDS) -> float:
+    def once() -> float:
+        start = time.process_time()
+        work()
+        return time.process_time() - start
+
+    gc.collect()
+    gc.disable()
+    try:
+        return median(once() for _ in range(rounds))
+    finally:
+        gc.enable()

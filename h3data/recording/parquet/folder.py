@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, overload
@@ -18,7 +19,7 @@ from h3data.errors import FormatError, InputError
 from h3data.recording.parquet.columns import conform, numbers
 from h3data.recording.parquet.files import FILES_PER_CHUNK, is_dataset, shard_files, shard_path
 from h3data.recording.parquet.records import DAMAGE, DatasetRecords, read_whole
-from h3data.recording.parquet.schema import EPISODE_SCHEMA, DatasetSchema
+from h3data.recording.parquet.schema import EPISODE_SCHEMA, DatasetSchema, episode_schema
 from h3data.recording.schema import check_version
 from h3data.recording.storage import RemotePath, place, readable
 
@@ -110,12 +111,13 @@ class DatasetFolder:
         """
         paths = shard_files(self.root, "meta/episodes")
         kept = tuple(f"stats/{video.key}/" for video in self.schema.videos)
-
-        read = partial(read_whole, leave_out=lambda name: name.startswith("stats/") and not name.startswith(kept))
+        # statistics of features are hundreds of columns, after all others
+        names = episode_schema(replace(self.schema, columns=())).names
+        read = partial(read_whole, first=[n for n in names if not n.startswith("stats/") or n.startswith(kept)])
         try:
-            # several at once: they are small, and in an object store each takes a round trip; for one a thread costs more
+            # several at once in an object store, where each takes a round trip; on a disk threads cost more than they give
             with ThreadPoolExecutor(4) as pool:
-                read_all = pool.map if len(paths) > 1 else map
+                read_all = pool.map if isinstance(self.root, RemotePath) else map
                 tables = [table.replace_schema_metadata(None) for table in read_all(read, paths)]
             table = pa.concat_tables(tables, promote_options="default") if tables else pa.table({"episode_index": []})
             table = conform(table, EPISODE_SCHEMA)

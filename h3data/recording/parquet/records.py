@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,15 +34,27 @@ DAMAGE = (
 """Exceptions that reading a damaged file can raise."""
 
 
-def read_whole(path: AnyPath, leave_out: Callable[[str], bool] | None = None) -> pa.Table:
-    """Read the table in a small Parquet file, without the columns for which ``leave_out`` is true.
+class _Numbered(pq.ParquetFile):
+    """File whose columns are read by their numbers: tables of the paths of all columns take longer than reading a few."""
+
+    def _build_nested_paths(self) -> Any:
+        return {}  # pyarrow has no public switch; without this method files open in half as much time again
+
+
+def read_whole(path: AnyPath, first: Sequence[str] | None = None) -> pa.Table:
+    """Read the table in a small Parquet file, or only the columns ``first``, with which it begins.
 
     It takes half the time of `pq.read_table`, which is designed for folders of files.
     """
-    with pq.ParquetFile(readable(path), page_checksum_verification=True) as file:
-        if leave_out is None:
-            return file.read(use_threads=False)
-        return file.read([n for n in file.schema_arrow.names if not leave_out(n)], use_threads=False)
+    with _Numbered(readable(path), page_checksum_verification=True) as file:
+        if first is not None:
+            leading = range(min(len(first), file.metadata.num_columns))
+            table = file.reader.read_all(column_indices=leading, use_threads=False)
+            if table.column_names == first:
+                return table
+        whole = file.reader.read_all(use_threads=False)
+    # another program may have written the columns in another order
+    return whole if first is None else whole.select([name for name in first if name in whole.column_names])
 
 
 class DatasetRecords:

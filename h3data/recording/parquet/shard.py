@@ -219,15 +219,18 @@ class Shard:
 
     def _write(self, kind: str, table: pa.Table) -> None:
         with self._open(kind) as stream:
-            # of the few rows of some hundred statistics, what Parquet says about each column would take twice as much as they
-            plain = [name for name in table.column_names if not name.startswith("stats/")]
-            whole = len(plain) == table.num_columns
-            options: dict[str, Any] = {"use_dictionary": plain, "write_statistics": plain, "store_schema": whole}
+            # of the few rows of an episode table, dictionaries and statistics take as much time and space as the values
+            facts = kind == "meta/episodes"
+            options: dict[str, Any] = {
+                "use_dictionary": not facts,
+                "write_statistics": not facts,
+                "store_schema": not facts,
+            }
             with pq.ParquetWriter(
                 stream, table.schema, compression="zstd", write_page_checksum=True, **options
             ) as writer:
                 writer.write_table(table)
-                if not whole:
+                if facts:
                     writer.add_key_value_metadata(
                         {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
                     )
