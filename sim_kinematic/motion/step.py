@@ -321,24 +321,25 @@ def drive_robots(
         # `per_world` hands on the caller's own array where it is float64 already
         action = action.copy()
         action[:, (0, *range(2, action.shape[1]))] *= stairs_speeds(free.heights, state.xz)[:, None]
-    limits = (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, float(spec.allow_back))
+    limits = tuple(map(float, (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, spec.allow_back)))
     moved = state.xz, state.heading, state.contact
-    offsets = _offsets(spec.disc_offsets_m)
+    offsets = centres(spec.disc_offsets_m)
     if spec.slide == "strict":
-        broken = drive_worlds(
+        broken = free.entries(
+            drive_worlds,
             free.sdf,
             free.origin,
             free.cell_m,
             *moved,
             action,
             limits,
-            dt,
+            float(dt),
             offsets,
-            spec.disc_radius_m,
+            float(spec.disc_radius_m),
             spec.slide_iterations,
-            spec.clearance_tolerance_m,
-            spec.contact_tolerance_m,
-            spec.farthest_m(dt),
+            float(spec.clearance_tolerance_m),
+            float(spec.contact_tolerance_m),
+            float(spec.farthest_m(dt)),
         )
     elif spec.slide == "habitat":
         slide, goals, drives = SLIDES.get(spec.slide), np.empty((len(action), 3)), np.empty(len(action), np.bool_)
@@ -379,7 +380,7 @@ def stairs_speeds(heights: np.ndarray, xz: np.ndarray) -> np.ndarray:
 
 def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], radius_m: float) -> np.ndarray:
     """Return the discs ``(x, z, radius)`` [W, D, 3] of a base at ``xz`` [W, 2], centred at D offsets along its axis."""
-    along = _offsets(tuple(offsets_m))
+    along = centres(tuple(offsets_m))
     discs = np.empty((len(xz), len(along), 3))
     discs[:, :, 0] = xz[:, :1] + np.cos(heading)[:, None] * along
     discs[:, :, 1] = xz[:, 1:] - np.sin(heading)[:, None] * along
@@ -388,14 +389,14 @@ def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], 
 
 
 @lru_cache(maxsize=64)
-def _offsets(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
-    """Return the offsets as an array, cached: to make one takes a tenth of the step of one world."""
-    return np.array(disc_offsets_m)
+def centres(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
+    """Return the offsets of discs [D] [m] as an array, cached: to make one takes a tenth of the step of one world."""
+    return np.array(disc_offsets_m, np.float64)
 
 
 def per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:
-    """Return ``width`` numbers for each world, float64 [W, width], as the kernels check no bounds."""
-    rows = np.asarray(rows, np.float64)
+    """Return ``width`` numbers for each world, float64 [W, width] in C order, as the kernels check no bounds."""
+    rows = np.ascontiguousarray(rows, np.float64)
     worlds = len(state.heading)
     if rows.shape != (worlds, width):
         raise InputError(
