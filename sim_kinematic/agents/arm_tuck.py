@@ -137,8 +137,15 @@ def arm_room(body: Humanoid, rules: ArmRoomSpec) -> tuple[float, ...]:
     """Return the constants for a body by which `_draw_in_worlds` folds its arms."""
     # room is measured from the line, which is `aside_m` off the middle of the body
     width = width_m(body) - rules.aside_m
-    sides = rules.rate, rules.aside_m, width + rules.free_m, width + rules.tight_m
-    return tuple(map(float, (*sides, rules.within_m, rules.fade_m, rules.step_m)))
+    return (
+        float(rules.rate),
+        float(rules.aside_m),
+        width + rules.free_m,
+        width + rules.tight_m,
+        float(rules.within_m),
+        float(rules.fade_m),
+        float(rules.step_m),
+    )
 
 
 def draw_arms(
@@ -151,9 +158,8 @@ def draw_arms(
     """
     if rules is None:
         return
-    moved, room = (state.xz, state.heading, state.arms), arm_room(body, rules)
-    grid = free.sdf, free.origin, free.cell_m
-    free.entries(_draw_in_worlds, *grid, *moved, HANDS.index(busy) if busy else -1, *room)
+    where, room = (free.sdf, free.origin, free.cell_m, state.xz, state.heading), arm_room(body, rules)
+    free.entries(_draw_in_worlds, *where, state.arms, HANDS.index(busy) if busy else -1, *room)
 
 
 @kernel(error_model="numpy")

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.kernels import kernel
-from h3data.kernels.entries import Entries
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.motion.step import drive_robots, keep_worlds_apart, per_world, wrap_angle
@@ -23,8 +22,6 @@ from sim_kinematic.motion.step import drive_robots, keep_worlds_apart, per_world
 if TYPE_CHECKING:
     from h3data.bodies.people.clips import Clip
     from h3data.scene import FreeSpace
-
-_ENTRIES = Entries()
 
 
 @kernel(error_model="numpy")
@@ -86,19 +83,18 @@ def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: floa
 
     The waypoints come from `FreeSpace.path`, so the straight line to the next one is free.
     """
-    _ENTRIES(
-        _walk_worlds,
+    _walk_worlds(
         state.xz,
         state.heading,
         state.distance,
         state.set_off,
         state.blend,
         per_world(goal_xz, state, width=2),
-        float(spec.speed_mps),
-        float(spec.turn_rad_s),
-        float(dt),
-        float(spec.turn_before_walk_rad),
-        float(spec.arrive_m),
+        spec.speed_mps,
+        spec.turn_rad_s,
+        dt,
+        spec.turn_before_walk_rad,
+        spec.arrive_m,
         dt / spec.blend_s,
     )
 

@@ -322,8 +322,7 @@ def drive_robots(
         action = action.copy()
         action[:, (0, *range(2, action.shape[1]))] *= stairs_speeds(free.heights, state.xz)[:, None]
     limits = tuple(map(float, (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, spec.allow_back)))
-    moved = state.xz, state.heading, state.contact
-    offsets = centres(spec.disc_offsets_m)
+    moved, offsets = (state.xz, state.heading, state.contact), centres(spec.disc_offsets_m)
     if spec.slide == "strict":
         broken = free.entries(
             drive_worlds,

@@ -335,9 +335,7 @@ class Maneuvering:
         before = view.robot_before
         rests = before is not None and view.robot_heading == before[1] and (view.robot_xz == before[0]).all()
         self._still = self._still + 1 if rests else 0
-        if not (self._commands or rests):
-            return wish
-        if float(np.hypot(*(view.human_xz - view.robot_xz))) < NEAR_M:
+        if (self._commands or rests) and float(np.hypot(*(view.human_xz - view.robot_xz))) < NEAR_M:
             self._commands = []
         # again after every interval: a plan may have found nothing or not led out
         elif rests and self._still % AVOIDANCE.maneuver_after_steps == 0:

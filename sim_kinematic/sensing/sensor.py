@@ -305,8 +305,6 @@ def facing(xz: Any, heading: Any, other_xz: Any, *, xp: Any = np) -> Any:
     """Return the cosine [...] between an agent's forward axis and the direction to a point; 0 where they coincide."""
     if xp is np:
         gap, heading = _gaps(xz, heading, other_xz)
-        if gap.ndim == 2 and heading.ndim == 1:  # nothing to reshape, as in every step of social navigation
-            return _facing(gap, heading)
         # `[()]` makes a number of an array without axes and leaves others as they are
         return _facing(gap.reshape(-1, 2), heading.reshape(-1)).reshape(gap.shape[:-1])[()]
     gap = other_xz - xz
