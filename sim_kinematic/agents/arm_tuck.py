@@ -138,13 +138,13 @@ def arm_room(body: Humanoid, rules: ArmRoomSpec) -> tuple[float, ...]:
     # room is measured from the line, which is `aside_m` off the middle of the body
     width = width_m(body) - rules.aside_m
     return (
-        float(rules.rate),
-        float(rules.aside_m),
+        rules.rate,
+        rules.aside_m,
         width + rules.free_m,
         width + rules.tight_m,
-        float(rules.within_m),
-        float(rules.fade_m),
-        float(rules.step_m),
+        rules.within_m,
+        rules.fade_m,
+        rules.step_m,
     )
 
 
@@ -158,8 +158,8 @@ def draw_arms(
     """
     if rules is None:
         return
-    where, room = (free.sdf, free.origin, free.cell_m, state.xz, state.heading), arm_room(body, rules)
-    free.entries(_draw_in_worlds, *where, state.arms, HANDS.index(busy) if busy else -1, *room)
+    moved, room = (state.xz, state.heading, state.arms), arm_room(body, rules)
+    _draw_in_worlds(free.sdf, free.origin, free.cell_m, *moved, HANDS.index(busy) if busy else -1, *room)
 
 
 @kernel(error_model="numpy")

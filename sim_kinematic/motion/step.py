@@ -321,24 +321,23 @@ def drive_robots(
         # `per_world` hands on the caller's own array where it is float64 already
         action = action.copy()
         action[:, (0, *range(2, action.shape[1]))] *= stairs_speeds(free.heights, state.xz)[:, None]
-    limits = tuple(map(float, (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, spec.allow_back)))
+    limits = (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, float(spec.allow_back))
     moved, offsets = (state.xz, state.heading, state.contact), centres(spec.disc_offsets_m)
     if spec.slide == "strict":
-        broken = free.entries(
-            drive_worlds,
+        broken = drive_worlds(
             free.sdf,
             free.origin,
             free.cell_m,
             *moved,
             action,
             limits,
-            float(dt),
+            dt,
             offsets,
-            float(spec.disc_radius_m),
+            spec.disc_radius_m,
             spec.slide_iterations,
-            float(spec.clearance_tolerance_m),
-            float(spec.contact_tolerance_m),
-            float(spec.farthest_m(dt)),
+            spec.clearance_tolerance_m,
+            spec.contact_tolerance_m,
+            spec.farthest_m(dt),
         )
     elif spec.slide == "habitat":
         slide, goals, drives = SLIDES.get(spec.slide), np.empty((len(action), 3)), np.empty(len(action), np.bool_)
@@ -394,8 +393,8 @@ def centres(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
 
 
 def per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:
-    """Return ``width`` numbers for each world, float64 [W, width] in C order, as the kernels check no bounds."""
-    rows = np.ascontiguousarray(rows, np.float64)
+    """Return ``width`` numbers for each world, float64 [W, width], as the kernels check no bounds."""
+    rows = np.asarray(rows, np.float64)
     worlds = len(state.heading)
     if rows.shape != (worlds, width):
         raise InputError(
