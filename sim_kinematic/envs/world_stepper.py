@@ -258,11 +258,9 @@ class WorldStepper:
         runs = [(int(seeds[w]), int(indices[w])) for w in rows.tolist()]
         # all episodes are sampled before any world begins, so an error leaves the worlds as they are
         self.source.prepare(runs)
-        with progress(desc="episodes", total=len(runs), unit="episode", delay=1.0, leave=False, at_least=2) as bar:
-            episodes = []
-            for run in runs:
-                episodes.append(self.source.sample(*run))
-                bar.update()
+        # a bar for one episode would take a twentieth of its reset
+        shown = progress(runs, desc="episodes", unit="episode", delay=1.0, leave=False) if len(runs) > 1 else runs
+        episodes = [self.source.sample(*run) for run in shown]
         if self.task.control.has_skills:
             self._begin_turns(rows, episodes)
         else:

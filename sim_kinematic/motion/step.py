@@ -322,7 +322,8 @@ def drive_robots(
         action = action.copy()
         action[:, (0, *range(2, action.shape[1]))] *= stairs_speeds(free.heights, state.xz)[:, None]
     limits = (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, float(spec.allow_back))
-    moved, offsets = (state.xz, state.heading, state.contact), centres(spec.disc_offsets_m)
+    moved = state.xz, state.heading, state.contact
+    offsets = centres(spec.disc_offsets_m)
     if spec.slide == "strict":
         broken = drive_worlds(
             free.sdf,

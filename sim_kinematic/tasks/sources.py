@@ -86,7 +86,7 @@ class EpisodeSource:
 
     def home_of(self, seed: int, index: int) -> int:
         """Return the number of the home of episode ``index`` in the run ``seed``."""
-        return int(generator(seed, "scene", step=index).integers(len(self.homes)))
+        return int(generator(seed, "scene", step=index).integers(len(self.homes))) if len(self.homes) > 1 else 0
 
     def sample(self, seed: int, index: int) -> Episode:
         """Return the episode ``index`` of the run ``seed``.
