@@ -262,7 +262,7 @@ class World:
             # one pass over the agents, in any order: what they do in a step depends on the map alone, not on the others
             at = slice(None) if alone else rows
             for k, (everywhere, command) in enumerate(zip(self.state.agents, commands, strict=True)):
-                if isinstance(command, RecordedPoseCommand | PoseCommand):
+                if isinstance(command, (RecordedPoseCommand, PoseCommand)):
                     continue
                 if isinstance(command, GaitCommand):
                     assert isinstance(everywhere, HumanState)
@@ -408,7 +408,7 @@ class World:
         for member, command, width in zip(self.roster, commands, self.widths, strict=True):
             assert command is not None, "agents with skills move themselves"
             known = sound and isinstance(command, PoseCommand) and member.kind == "human"
-            if known or isinstance(command, RecordedPoseCommand | GaitCommand):
+            if known or isinstance(command, (RecordedPoseCommand, GaitCommand)):
                 checked.append(command)
                 continue
             values = np.asarray(command[0], np.float64)

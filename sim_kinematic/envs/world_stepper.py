@@ -258,9 +258,9 @@ class WorldStepper:
         runs = [(int(seeds[w]), int(indices[w])) for w in rows.tolist()]
         # all episodes are sampled before any world begins, so an error leaves the worlds as they are
         self.source.prepare(runs)
-        # one world resets often, and making a bar takes a tenth of that
-        bar = runs if len(runs) < 2 else progress(runs, desc="episodes", unit="episode", delay=1.0, leave=False)
-        episodes = [self.source.sample(*run) for run in bar]
+        # a bar for one episode would take a twentieth of its reset
+        shown = progress(runs, desc="episodes", unit="episode", delay=1.0, leave=False) if len(runs) > 1 else runs
+        episodes = [self.source.sample(*run) for run in shown]
         if self.task.control.has_skills:
             self._begin_turns(rows, episodes)
         else:

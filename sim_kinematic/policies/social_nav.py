@@ -89,13 +89,13 @@ def _steps_to_turn(error: float, spec: BaseSpec) -> float:
     return float(math.ceil(abs(error) / (spec.max_turn_rad_s * STEP_S)))
 
 
-def next_waypoint(view: SocialNavView, spec: BaseSpec) -> NDArray[np.float64]:
-    """Return the first waypoint on the path to the person beyond the robot's own place."""
-    path = view.free.path(view.robot_xz, view.human_xz)
+def next_waypoint(view: SocialNavView, goal: NDArray[np.float64], spec: BaseSpec) -> NDArray[np.float64]:
+    """Return the first waypoint on the path to ``goal`` [2] beyond the robot's own place."""
+    path = view.free.path(view.robot_xz, goal)
     for waypoint in path[1:]:
         if np.hypot(*(waypoint - view.robot_xz).tolist()) > spec.disc_radius_m / 2:
             return waypoint
-    return view.human_xz
+    return goal
 
 
 def _expected_walk(view: SocialNavView) -> NDArray[np.float64]:
@@ -146,7 +146,7 @@ def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
     if gap <= 0:
         backward, turn, _ = _straight_back(view, spec, gap)
         return Velocity(backward, turn, "back_up")
-    error, turn = _steer(view, next_waypoint(view, spec), spec)
+    error, turn = _steer(view, next_waypoint(view, view.human_xz, spec), spec)
     return Velocity(min(gap, 1.0) * max(0.0, float(np.cos(error))) ** 2, turn, "follow" if view.met else "find")
 
 
@@ -161,7 +161,7 @@ def _approach(view: SocialNavView, spec: BaseSpec, goal: NDArray[np.float64], ga
     """Return the best command towards ``goal`` [2], for a path of at most ``gap`` steps at full speed."""
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
-    error, turn = _steer(view, next_waypoint(view._replace(human_xz=goal), spec), spec)
+    error, turn = _steer(view, next_waypoint(view, goal, spec), spec)
     commands = _APPROACHING.copy()
     commands[0, 1:3] = turn, _steps_to_turn(error, spec)
     if gap < 1.0:  # tried as slowly as it will be done
@@ -333,12 +333,12 @@ class Maneuvering:
             return wish
         # equal to the last bit: a base that is pressed against walls does not move at all
         before = view.robot_before
-        rests = before is not None and (view.robot_xz == before[0]).all() and view.robot_heading == before[1]
+        rests = before is not None and view.robot_heading == before[1] and (view.robot_xz == before[0]).all()
         self._still = self._still + 1 if rests else 0
-        if float(np.hypot(*(view.human_xz - view.robot_xz))) < NEAR_M:
+        if (self._commands or rests) and float(np.hypot(*(view.human_xz - view.robot_xz))) < NEAR_M:
             self._commands = []
         # again after every interval: a plan may have found nothing or not led out
-        elif self._still and self._still % AVOIDANCE.maneuver_after_steps == 0:
+        elif rests and self._still % AVOIDANCE.maneuver_after_steps == 0:
             self._commands = [(forward, turn) for forward, turn in self._plan(view)]
         return Velocity(*self._commands.pop(0), wish.skill) if self._commands else wish
 

@@ -153,20 +153,21 @@ class SocialNav(Task):
         if agent != ROBOT or (play.policies and play.policies[ROBOT].takes_agent_view):
             return play.agent_view(agent, world)
         state: SocialNavState = play.memory
-        robot, person = play.world.state.agents
-        was, was_person = play.world.before.agents
-        episode, step = play.episodes[world], int(play.steps[world])
+        now, was = play.world.now, play.world.was
+        episode, step = play.episodes[world], play.steps.item(world)
+        # copies, as the world moves agents in place
+        (robot_xz, human_xz), (robot_was, human_was) = now.xz[:, world].copy(), was.xz[:, world].copy()
         return SocialNavView(
             episode.floor(ROBOT),
-            robot.xz[world].copy(),
-            float(robot.heading[world]),
-            person.xz[world].copy(),
-            float(state.geodesic[world]),
-            bool(state.found[world]),
+            robot_xz,
+            now.heading.item(ROBOT, world),
+            human_xz,
+            state.geodesic.item(world),
+            state.found.item(world),
             episode.seed,
             step,
-            (was.xz[world].copy(), float(was.heading[world])) if step else None,
-            was_person.xz[world].copy() if step else None,
+            (robot_was, was.heading.item(ROBOT, world)) if step else None,
+            human_was if step else None,
             self._future(play, step),
             partial(play.pictures, agent, world),
             partial(play.observe, agent, world),
@@ -215,7 +216,8 @@ class SocialNav(Task):
         # before the look, so that the event comes in the step in which this changes
         lost = not state.found[0]
         self._look(play)
-        state.found |= is_found(state.geodesic, state.faces, play.spec)
+        if lost or play.world.worlds > 1:  # once true it stays true
+            state.found |= is_found(state.geodesic, state.faces, play.spec)
         if state.rewards is not None:
             state.collisions += state.collides | play.world.state.robots[0].contact
             worth = state.rewards.step(self._encounter(play))
