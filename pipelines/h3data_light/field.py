@@ -85,7 +85,9 @@ class LightField:
     def _interpolated(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return cubes [N, 6, 3] and reaches [N], from the grid points around each point that are in the open."""
         cube, reach = np.empty((len(points), 6, 3)), np.empty(len(points))
-        _interpolate(np.nan_to_num(points), self.origin, self.spacing_m, self.cube, self.reach_m, self.mean, cube, reach)
+        _interpolate(
+            np.nan_to_num(points), self.origin, self.spacing_m, self.cube, self.reach_m, self.mean, cube, reach
+        )
         return cube, reach
 
     def blockers(
