@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import normalized
+from h3data.kernels import kernel
 from h3data.render.shade.blockers import Blockers, blocker_rows
 from h3data.render.shade.blockers_simd import SPREAD
 from h3data_light import probes as pr
@@ -32,7 +33,6 @@ _UPWARD, _ABOVE_M = 0.9, 0.4
 """Least upward component of the normals of floors, and height above them of the light that they mirror."""
 _INDOORS = 0.2
 """Share of points under cover above which those in the open do not count."""
-_CORNERS = np.array(list(np.ndindex(2, 2, 2)))
 FACE_NORMALS = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]], np.float64)
 
 
@@ -72,7 +72,7 @@ class LightField:
 
     def at(self, points: NDArray[np.floating]) -> LightAt:
         """Return the light at world points [N, 3] [m]."""
-        cube, reach = self._interpolated(np.nan_to_num(np.asarray(points, np.float64)).reshape(-1, 3))
+        cube, reach = self._interpolated(np.asarray(points, np.float64).reshape(-1, 3))
         bright = cube.mean(-1)
         vector = bright[:, 1::2] - bright[:, 0::2]
         length = np.linalg.norm(vector, axis=1)
@@ -84,20 +84,11 @@ class LightField:
 
     def _interpolated(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return cubes [N, 6, 3] and reaches [N], from the grid points around each point that are in the open."""
-        shape = np.array(self.reach_m.shape)
-        place = np.clip((points - self.origin) / self.spacing_m - 0.5, 0, np.maximum(shape - 1, 0))
-        low = np.minimum(place.astype(int), np.maximum(shape - 2, 0))
-        part = place - low
-        x, y, z = np.minimum(low + _CORNERS[:, None], shape - 1).transpose(2, 0, 1)
-        cubes = self.cube[x, y, z]
-        free = np.isfinite(cubes[..., 0, 0])
-        weight = (np.where(_CORNERS[:, None], part, 1 - part).prod(2) + 1e-4) * free
-        total = weight.sum(0)
-        known = total > 0
-        weight /= np.where(known, total, 1)
-        cube = np.einsum("cn,cnfa->nfa", weight, np.where(free[..., None, None], cubes, 0))
-        cube[~known] = self.mean
-        return cube, np.where(known, (weight * self.reach_m[x, y, z]).sum(0), 1.0)
+        cube, reach = np.empty((len(points), 6, 3)), np.empty(len(points))
+        _interpolate(
+            np.nan_to_num(points), self.origin, self.spacing_m, self.cube, self.reach_m, self.mean, cube, reach
+        )
+        return cube, reach
 
     def blockers(
         self,
@@ -130,6 +121,39 @@ class LightField:
         own_tint[which] = shown_light(light.irradiance[: len(which)], self.mean) / self.flat
         tints[members >= 0, :3] = own_tint[members[members >= 0]]
         return Blockers(rows, tints)
+
+
+@kernel(error_model="numpy", boundscheck=False)
+def _interpolate(points, origin, spacing_m, cube, reach_m, mean, cube_at, reach_at):
+    """Fill ``cube_at`` [N, 6, 3] and ``reach_at`` [N] at points [N, 3], as `LightField._interpolated` returns them.
+
+    A kernel, as a renderer asks at every step for some tens of points, for which arrays cost more than the arithmetic.
+    """
+    corners, low, part = np.empty((8, 4), np.int64), np.empty(3, np.int64), np.empty(3)
+    weight, shape = np.empty(8), reach_m.shape
+    for n in range(len(points)):
+        for a in range(3):
+            place = (points[n, a] - origin[a]) / spacing_m - 0.5
+            place = min(max(place, 0.0), float(max(shape[a] - 1, 0)))
+            low[a] = min(int(place), max(shape[a] - 2, 0))
+            part[a] = place - low[a]
+        total = 0.0
+        for c in range(8):
+            share = 1.0
+            for a in range(3):
+                far = c >> (2 - a) & 1
+                corners[c, a] = min(low[a] + far, shape[a] - 1)
+                share *= part[a] if far else 1 - part[a]
+            corners[c, 3] = np.isfinite(cube[corners[c, 0], corners[c, 1], corners[c, 2], 0, 0])
+            weight[c] = (share + 1e-4) * corners[c, 3]
+            total += weight[c]
+        cube_at[n], reach_at[n] = (0.0, 0.0) if total > 0 else (mean, 1.0)
+        for c in range(8 if total > 0 else 0):
+            x, y, z, free = corners[c]
+            reach_at[n] += weight[c] / total * reach_m[x, y, z]
+            for face in range(6 if free else 0):
+                for k in range(3):
+                    cube_at[n, face, k] += weight[c] / total * cube[x, y, z, face, k]
 
 
 def group_means(values: NDArray[np.float64], index: NDArray[np.integer], count: int) -> NDArray[np.float64]:

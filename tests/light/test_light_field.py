@@ -120,3 +120,22 @@ def test_a_capsule_lies_along_the_longest_side_of_a_box() -> None:
     np.testing.assert_allclose(capsule[6], radius)
     np.testing.assert_allclose(capsule[4] - capsule[1], 1.0 - 2 * radius)
     assert np.isnan(capsule_of_box((0, 0, 0), (0, 0, 0))).all()
+
+
+def test_interpolation_equals_arrays_bit_by_bit(field: LightField) -> None:
+    rng, corners = np.random.default_rng(0), np.array(list(np.ndindex(2, 2, 2)))
+    points = rng.uniform(field.origin - 1, field.origin + 6, (500, 3))
+    shape = np.array(field.reach_m.shape)
+    place = np.clip((points - field.origin) / field.spacing_m - 0.5, 0, shape - 1)
+    low = np.minimum(place.astype(int), shape - 2)
+    x, y, z = (low + corners[:, None]).transpose(2, 0, 1)
+    weight = (np.where(corners[:, None], place - low, 1 - (place - low)).prod(2) + 1e-4) * np.isfinite(
+        field.cube[x, y, z, 0, 0]
+    )
+    known = weight.sum(0) > 0
+    weight = weight / np.where(known, weight.sum(0), 1)
+    cube = np.einsum("cn,cnfa->nfa", weight, np.nan_to_num(field.cube[x, y, z]))
+    np.testing.assert_array_equal(field.cubes(points), np.where(known[:, None, None], cube, field.mean))
+    reach = np.where(known, (weight * field.reach_m[x, y, z]).sum(0), 1.0)
+    np.testing.assert_array_equal(field.at(points).reach_m, reach)
+    assert np.isfinite(field.cubes(np.full((1, 3), np.nan))).all()  # of an agent that is absent

@@ -138,7 +138,8 @@ class CpuEngine:
         key = repr((camera.hidden_layers, id(world), view[3:])).encode()
         key += view.axes.tobytes() + view.eye.tobytes() + view.intrinsics.tobytes()
         drawing = drawings.of(key, view, draws=scene.draw_limit, instances=len(scene.instances))
-        now = world.state(shown) if drawing.stands else None
+        # without instances nothing can be said to have changed, for which the kernels draw all of it (`Drawing.changed`)
+        now = world.state(shown) if drawing.stands and len(shown) else None
         changed, again = drawing.changed(now, scene.instance_mesh), drawing.shown is not None
         drawing.shown = None
         # while it is drawn the buffers show nothing whole; an exception must not leave them marked as valid

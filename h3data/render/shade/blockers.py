@@ -112,35 +112,9 @@ def blocker_rows(
     out[:, WIDTH] = width
     # a shadow ends where it takes less than 1/14 of the light
     out[:, REACH] = np.minimum(reach_m[order], np.sqrt(radius * width / (1 / 14)) / SPREAD)
-    out[:, PER_RANGE4] = 1 / _range_m(radius) ** 4
+    out[:, PER_RANGE4] = 1 / (4.0 * radius + 0.12) ** 4
     out[:, GROUP], out[:, SHARE], out[:, LENGTH] = groups[order], share[order], np.sqrt(length2)
     out[:, PER_RADIUS] = 1 / radius
-    return out
-
-
-def _range_m(radius: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return the distance from the axis beyond which a capsule occludes nothing, by its radius [m]."""
-    return 4.0 * radius + 0.12
-
-
-def _spheres(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the spheres that enclose all that each capsule may darken, centre and radius, shape [N, 4, 4].
-
-    The first lies around the capsule, the other three along its shadow.
-    """
-    start, along, light = (rows[:, k : k + 3].astype(np.float64) for k in (START, ALONG, LIGHT))
-    radius, half = rows[:, RADIUS].astype(np.float64), np.linalg.norm(along, axis=1) / 2
-    reach = rows[:, REACH].astype(np.float64) + KEPT_M + FADE_M + half
-    # several spheres along a shadow: a single one would be as wide as the shadow is long
-    ends = np.arange(1, 4) / 3
-    middle = (ends - 0.5 / 3) * reach[:, None]
-    out = np.empty((len(rows), 4, 4))
-    out[:, :, :3] = (start + along / 2)[:, None]
-    out[:, 1:, :3] -= middle[..., None] * light[:, None]
-    out[:, 0, 3] = half + _range_m(radius)
-    # the capsule, the light's disc at the far end of the section, and half the length of the section
-    shadow = (half + radius)[:, None] + SPREAD * ends * reach[:, None] + reach[:, None] / (2 * 3) + 0.02
-    out[:, 1:, 3] = np.where((rows[:, SHARE] > 0)[:, None], shadow, 0.0)
     return out
 
 
@@ -180,8 +154,8 @@ def tiled(blockers: Blockers | None, view: View, target: Target, *, factor: int)
     inv_z = target.inv_z
     if view.parallel:
         inv_z = np.where(inv_z > 0, 1 / np.maximum(view.reach - inv_z, 1e-6), 0).astype(np.float32)
-    spheres = _spheres(blockers.rows)
-    seen = _on_screen(spheres, view, factor)
+    seen = np.empty((len(blockers.rows), 6))
+    _on_screen(blockers.rows, view, factor, seen)
     index = np.flatnonzero(seen[:, 3] > seen[:, 0])
     if not len(index):
         return nothing
@@ -222,34 +196,44 @@ def _compare_tiles(earlier, listed_earlier, first, listed, same, changed):
                 changed[tile] = 1
 
 
-def _on_screen(spheres: NDArray[np.float64], view: View, factor: int) -> NDArray[np.float64]:
-    """Return the boxes on the screen around the spheres of each capsule [N, S, 4], as [N, 6].
+@kernel(error_model="numpy", boundscheck=False)
+def _on_screen(rows, view, factor, seen):
+    """Fill ``seen`` [N, 6] with boxes on the screen around all that each capsule may darken.
 
-    A box reaches from x, y [px] and 1/z to x, y and 1/z; it is 1e9 to 0 if no sphere is visible.
+    That is within four spheres, one around the capsule and three along its shadow: a single one would be as wide as the
+    shadow is long. A box reaches from x, y [px] and 1/z to x, y and 1/z; it is 1e9 to 0 if no sphere is visible.
     """
-    center = (spheres[..., :3] - view.eye) @ view.axes
-    side, z, r = center[..., :2], center[..., 2:], spheres[..., 3:]
-    intrinsics = view.intrinsics / factor
-    f, c = intrinsics[:2], intrinsics[2:4]
-    low, high = np.empty((*r.shape[:2], 3)), np.empty((*r.shape[:2], 3))
-    if view.parallel:
-        low[..., :2], high[..., :2] = f * (side - r) + c, f * (side + r) + c
-    else:  # both tangents from the eye, in the plane of each axis and z
-        apart = np.sqrt(np.maximum(side * side + z * z - r * r, 0))
-        front = (z > r + 0.05) & (apart > 0)
-        middle, half = np.arctan2(side, z), np.arctan2(r, np.maximum(apart, 1e-9))
-        start, end = middle - half, middle + half
-        # 1.5 rad is 86 degrees, beyond which the tangent explodes: such a sphere reaches past any picture
-        low[..., :2] = np.where(front & (start > -1.5), f * np.tan(np.maximum(start, -1.5)) + c, -1e6)
-        high[..., :2] = np.where(front & (end < 1.5), f * np.tan(np.minimum(end, 1.5)) + c, 1e6)
+    center, low, high = np.empty(3), np.empty(3), np.empty(3)
     size = view.width // factor, view.height // factor
-    low[..., :2], high[..., :2] = np.clip(low[..., :2], 0, size), np.clip(high[..., :2], 0, size)
-    low[..., 2:] = 1 / np.maximum(z + r, 1e-3)
-    high[..., 2:] = np.where(z - r > 1e-3, 1 / np.maximum(z - r, 1e-3), 1e6)
-    gone = ((r <= 0) | (z + r <= 0))[..., 0] | (high[..., :2] <= low[..., :2]).any(-1)
-    # an empty box, which does not widen that of the other spheres
-    low[gone], high[gone] = 1e9, 0
-    return np.concatenate([low.min(1), high.max(1)], axis=1)
+    for n in range(len(rows)):
+        row, half, radius = rows[n], 0.5 * rows[n, LENGTH], np.float64(rows[n, RADIUS])
+        reach = rows[n, REACH] + (KEPT_M + FADE_M) + half
+        seen[n, :3], seen[n, 3:] = 1e9, 0
+        for k in range(4 if row[SHARE] > 0 else 1):
+            center[:] = 0
+            for a in range(3):
+                away = row[START + a] + 0.5 * row[ALONG + a] - (k - 0.5 if k else 0.0) / 3 * reach * row[LIGHT + a]
+                for axis in range(3):
+                    center[axis] += (away - view.eye[a]) * view.axes[a, axis]
+            # the capsule, the light's disc at the far end of the section, and half the length of the section
+            far = half + radius + (SPREAD * k / 3 + 1 / 6) * reach + 0.02
+            z, r = center[2], far if k else half + row[PER_RANGE4] ** -0.25
+            for a in range(2):
+                f, c = view.intrinsics[a] / factor, view.intrinsics[2 + a] / factor
+                if view.parallel:
+                    low[a], high[a] = f * (center[a] - r) + c, f * (center[a] + r) + c
+                else:  # both tangents from the eye, in the plane of the axis and z
+                    apart = np.sqrt(max(center[a] * center[a] + z * z - r * r, 0.0))
+                    middle, wide = np.arctan2(center[a], z), np.arctan2(r, max(apart, 1e-9))
+                    front = z > r + 0.05 and apart > 0
+                    # 1.5 rad is 86 degrees, beyond which the tangent explodes: such a sphere reaches past any picture
+                    low[a] = f * np.tan(middle - wide) + c if front and middle - wide > -1.5 else -1e6
+                    high[a] = f * np.tan(middle + wide) + c if front and middle + wide < 1.5 else 1e6
+                low[a], high[a] = max(low[a], 0.0), min(high[a], float(size[a]))
+            low[2], high[2] = 1 / max(z + r, 1e-3), 1 / max(z - r, 1e-6)
+            if z + r > 0 and low[0] < high[0] and low[1] < high[1]:
+                for a in range(3):
+                    seen[n, a], seen[n, 3 + a] = min(seen[n, a], low[a]), max(seen[n, 3 + a], high[a])
 
 
 @kernel(error_model="numpy", boundscheck=False)
