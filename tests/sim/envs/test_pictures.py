@@ -378,7 +378,9 @@ def test_a_bar_tells_how_far_a_first_reset_is(task: str, monkeypatch: pytest.Mon
 
     def set_delay(seconds: float) -> None:
         for module in (sources, world_stepper):
-            monkeypatch.setattr(module, "progress", lambda **options: progress(**{**options, "delay": seconds}))
+            monkeypatch.setattr(
+                module, "progress", lambda *items, **options: progress(*items, **{**options, "delay": seconds})
+            )
 
     assert told(terminal=False) == ""
     set_delay(1e9)
