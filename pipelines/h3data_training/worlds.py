@@ -154,6 +154,41 @@ class ActionRepeat:
         raise NotImplementedError
 
 
+class ActionRepeatGoal(ActionRepeat):
+    """`ActionRepeat` for tasks that an episode solves or fails, and that end by themselves after `limit` steps."""
+
+    counts = ("reward", "succeeded", "failed", "ended", "steps", "contact")
+    """Names of the sums over worlds and steps in `totals`; subclasses add sums over steps."""
+    limit: int
+
+    def _long_enough(self) -> Tensor:
+        return self.play.steps >= self.limit
+
+    def _results(self, success: Tensor, due: Tensor, live: Tensor, ends: Tensor) -> list[Tensor]:
+        """Return the sums of `_counted`; ``success`` and termination count in the worlds that are ``due`` [W]."""
+        play = self.play
+        return [
+            (due & success).sum(),
+            (due & play.terminated & ~success).sum(),
+            ends.sum(),
+            live.sum(),
+            (live & play.robot.contact).sum(),
+        ]
+
+    def figures(self, total: dict[str, float]) -> dict[str, float]:
+        """Return columns of the learning curve that are computed from the totals, by name."""
+        steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
+        return {
+            "reward": total["reward"] / steps,
+            "succeeded": total["succeeded"] / ended,
+            "failed": total["failed"] / ended,
+            **{name: total[name] / steps for name in self.counts[len(ActionRepeatGoal.counts) :]},
+            "contact": total["contact"] / steps,
+            "steps_per_episode": steps / ended,
+            "ended": total["ended"],
+        }
+
+
 class ActionRepeatEnv(ActionRepeat):
     """`SocialNavTensors` in which an action is repeated for ``hold`` steps, as `h3data_training.ppo.Worlds`.
 

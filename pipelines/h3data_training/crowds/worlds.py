@@ -14,17 +14,14 @@ from h3data_training.torch.crowd.bank import CrowdBank
 from h3data_training.torch.crowd.worlds import CrowdWorlds
 from h3data_training.torch.graph import can_fuse, fused, overwrite
 from h3data_training.torch.step import refuse_stairs
-from h3data_training.worlds import ActionRepeat
+from h3data_training.worlds import ActionRepeatGoal
 from sim_kinematic.crowd.crowd import CrowdModel
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.tasks.registry import find_task
 
 
-class ActionRepeatCrowd(ActionRepeat):
+class ActionRepeatCrowd(ActionRepeatGoal):
     """`CrowdWorlds` in which an action is repeated for ``hold`` steps, as `h3data_training.ppo.Worlds`."""
-
-    counts = ("reward", "succeeded", "failed", "ended", "steps", "contact")
-    """Names of the sums over worlds and steps in `totals`."""
 
     def __init__(
         self,
@@ -63,30 +60,8 @@ class ActionRepeatCrowd(ActionRepeat):
         """Make a step of all worlds, in place."""
         overwrite(self.play.tensors(), self.sim.step(self.play, self._action).tensors())
 
-    def _long_enough(self) -> Tensor:
-        return self.play.steps >= self.limit
-
     def _counted(self, before: None, live: Tensor, ends: Tensor) -> list[Tensor]:
-        play = self.play
-        return [
-            (ends & play.memory["success"]).sum(),
-            (ends & play.terminated & ~play.memory["success"]).sum(),
-            ends.sum(),
-            live.sum(),
-            (live & play.robot.contact).sum(),
-        ]
-
-    def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Return columns of the learning curve that are computed from the totals, by name."""
-        steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
-        return {
-            "reward": total["reward"] / steps,
-            "succeeded": total["succeeded"] / ended,
-            "failed": total["failed"] / ended,
-            "contact": total["contact"] / steps,
-            "steps_per_episode": steps / ended,
-            "ended": total["ended"],
-        }
+        return self._results(self.play.memory["success"], ends, live, ends)
 
 
 def make_crowd_bank(settings: CrowdSettings, *, seed: int, workers: int | None = None) -> CrowdBank:

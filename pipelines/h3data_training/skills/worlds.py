@@ -17,18 +17,15 @@ from h3data_training.torch.graph import can_fuse, fused, overwrite
 from h3data_training.torch.skills.bank import SkillBank
 from h3data_training.torch.skills.teacher import taught
 from h3data_training.torch.skills.worlds import SkillTensors
-from h3data_training.worlds import ActionRepeat
+from h3data_training.worlds import ActionRepeatGoal
 from sim_kinematic.agents.robots.hand_reach import reach_bearing
 from sim_kinematic.sensing.sensor import scaled_depth
 
-COUNTS = ("reward", "succeeded", "failed", "ended", "steps", "contact", "holding")
-"""Names of the sums over worlds and steps in `ActionRepeatSkills.totals`."""
 
-
-class ActionRepeatSkills(ActionRepeat):
+class ActionRepeatSkills(ActionRepeatGoal):
     """`SkillTensors` in which an action is repeated for ``hold`` steps, as `h3data_training.ppo.Worlds` for skills."""
 
-    counts = COUNTS
+    counts = (*ActionRepeatGoal.counts, "holding")
 
     def __init__(
         self,
@@ -86,34 +83,10 @@ class ActionRepeatSkills(ActionRepeat):
         """Make a step of all worlds, in place: of a state that fused code returns, PyTorch 2.11 loses parts."""
         overwrite(self.play.tensors(), self.sim.step(self.play, self._action, looks=looks).tensors())
 
-    def _long_enough(self) -> Tensor:
-        return self.play.steps >= self.limit
-
     def _counted(self, before: None, live: Tensor, ends: Tensor) -> list[Tensor]:
-        play = self.play
-        return [
-            (live & play.success).sum(),
-            (live & play.terminated & ~play.success).sum(),
-            ends.sum(),
-            live.sum(),
-            (live & play.robot.contact).sum(),
-            (live & (play.held >= 0)).sum(),
-        ]
+        return [*self._results(self.play.success, live, live, ends), (live & (self.play.held >= 0)).sum()]
 
     def taught(self) -> Tensor:
         """Return the actions of the scripted teacher in the current states, [W, A]."""
         with torch.no_grad():
             return taught(self.sim, self.play, self.hold, by_sight=self._by_sight)
-
-    def figures(self, total: dict[str, float]) -> dict[str, float]:
-        """Return columns of the learning curve that are computed from the totals, by name."""
-        steps, ended = max(total["steps"], 1.0), max(total["ended"], 1.0)
-        return {
-            "reward": total["reward"] / steps,
-            "succeeded": total["succeeded"] / ended,
-            "failed": total["failed"] / ended,
-            "holding": total["holding"] / steps,
-            "contact": total["contact"] / steps,
-            "steps_per_episode": steps / ended,
-            "ended": total["ended"],
-        }
