@@ -145,8 +145,9 @@ def entry() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):  # ended from outside, or the terminal closed: as after Ctrl-C
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup asks to go on
             signal.signal(number, signal.default_int_handler)
-    # by the default, 700 objects, the demo searches for cycles 741 times, which takes 0.4 s; so it does so 24 times
-    gc.set_threshold(20_000, 20, 100)
+    # with the default of 700 objects, the search for cycles takes 0.4 s of the demo; with more than 5,000 it does not take
+    # less than 0.1 s, and rendering many recordings takes more memory
+    gc.set_threshold(5_000)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not fit the terminal's encoding
     code = main()
