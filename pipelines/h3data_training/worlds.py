@@ -164,12 +164,12 @@ class ActionRepeatGoal(ActionRepeat):
     def _long_enough(self) -> Tensor:
         return self.play.steps >= self.limit
 
-    def _results(self, success: Tensor, due: Tensor, live: Tensor, ends: Tensor) -> list[Tensor]:
-        """Return the sums of `_counted`; ``success`` and termination count in the worlds that are ``due`` [W]."""
+    def _results(self, success: Tensor, live: Tensor, ends: Tensor) -> list[Tensor]:
+        """Return the sums of `_counted` for worlds whose episode ends in ``success`` [W] or without."""
         play = self.play
         return [
-            (due & success).sum(),
-            (due & play.terminated & ~success).sum(),
+            (ends & success).sum(),
+            (ends & play.terminated & ~success).sum(),
             ends.sum(),
             live.sum(),
             (live & play.robot.contact).sum(),

@@ -61,7 +61,7 @@ class ActionRepeatCrowd(ActionRepeatGoal):
         overwrite(self.play.tensors(), self.sim.step(self.play, self._action).tensors())
 
     def _counted(self, before: None, live: Tensor, ends: Tensor) -> list[Tensor]:
-        return self._results(self.play.memory["success"], ends, live, ends)
+        return self._results(self.play.memory["success"], live, ends)
 
 
 def make_crowd_bank(settings: CrowdSettings, *, seed: int, workers: int | None = None) -> CrowdBank:

@@ -84,7 +84,7 @@ class ActionRepeatSkills(ActionRepeatGoal):
         overwrite(self.play.tensors(), self.sim.step(self.play, self._action, looks=looks).tensors())
 
     def _counted(self, before: None, live: Tensor, ends: Tensor) -> list[Tensor]:
-        return [*self._results(self.play.success, live, live, ends), (live & (self.play.held >= 0)).sum()]
+        return [*self._results(self.play.success, live, ends), (live & (self.play.held >= 0)).sum()]
 
     def taught(self) -> Tensor:
         """Return the actions of the scripted teacher in the current states, [W, A]."""
