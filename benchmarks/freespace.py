@@ -10,11 +10,13 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from statistics import median
 from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.sim import cpu_s
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from h3data.scene.freespace._visibility import Graph, sees
@@ -114,12 +116,7 @@ def _all_that_see_each_other(graph: Graph, nodes: NDArray) -> NDArray:
 
 
 def _seconds(work: Callable[[], object]) -> float:
-    def once() -> float:
-        start = time.process_time()
-        work()
-        return time.process_time() - start
-
-    return float(np.median([once() for _ in range(ROUNDS)]))
+    return median(cpu_s(work) for _ in range(ROUNDS))
 
 
 def _each_us(work: Callable[[], object], count: int) -> float:

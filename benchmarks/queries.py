@@ -10,7 +10,6 @@ from __future__ import annotations
 import gc
 import os
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from statistics import median
@@ -18,6 +17,7 @@ from statistics import median
 import numpy as np
 
 from benchmarks.recording import STEPS, synthetic_episode
+from benchmarks.sim import cpu_s
 from h3data.recording import Dataset, DatasetWriter
 from h3data_pipelines.commands.sql import connect, select
 from h3data_training.samples import WindowDataset
@@ -67,14 +67,9 @@ def _measure(emit: Callable[[str, float, str], None], root: str) -> None:
 
 
 def _cpu_s(work: Callable[[], object], rounds: int = ROUNDS) -> float:
-    def once() -> float:
-        start = time.process_time()
-        work()
-        return time.process_time() - start
-
     gc.collect()
     gc.disable()
     try:
-        return median(once() for _ in range(rounds))
+        return median(cpu_s(work) for _ in range(rounds))
     finally:
         gc.enable()

@@ -14,7 +14,6 @@ from __future__ import annotations
 import gzip
 import json
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.sim import cpu_s
 from h3data.bodies import load_humanoid
 from h3data.geometry import ground_pose, pose_from_matrix
 from h3data.recording import (
@@ -126,7 +126,7 @@ def _live_log(emit: Callable[[str, float, str], None], episodes: list[Recording]
             for k in range(STEPS):
                 writer.append({name: array[k : k + 1] for name, array in episode.columns.items()})
             unclosed += writer.part.stat().st_size
-            close_s += _cpu_s(writer.close)
+            close_s += cpu_s(writer.close)
             size += path.stat().st_size
     emit("recording.mcap_live.bytes_per_step", size / (STEPS * len(episodes)), "B")
     emit("recording.mcap_live.close_cpu_ms", 1e3 * close_s / len(episodes), "ms")
@@ -140,8 +140,8 @@ def _one_of_a_thousand(emit: Callable[[str, float, str], None], episodes: list[R
             for k in range(THOUSAND):
                 writer.add(episodes[k % len(episodes)])
         dataset, order = Dataset(folder), np.random.default_rng(0).permutation(THOUSAND)[:100].tolist()
-        read = _cpu_s(lambda: [dataset.recording(index) for index in order])
-        opened = median(_cpu_s(lambda: len(Dataset(folder))) for _ in range(20))
+        read = cpu_s(lambda: [dataset.recording(index) for index in order])
+        opened = median(cpu_s(lambda: len(Dataset(folder))) for _ in range(20))
         emit("recording.parquet.open_1000_cpu_ms", 1e3 * opened, "ms")
         emit("recording.parquet.episode_of_1000_cpu_ms", 1e3 * read / len(order), "ms")
         rng = np.random.default_rng(1)
@@ -149,7 +149,7 @@ def _one_of_a_thousand(emit: Callable[[str, float, str], None], episodes: list[R
         def one_step() -> None:
             DatasetSteps(dataset, int(rng.integers(THOUSAND)))[int(rng.integers(STEPS))]
 
-        emit("recording.parquet.random_step_ms", 1e3 * _cpu_s(lambda: [one_step() for _ in range(100)]) / 100, "ms")
+        emit("recording.parquet.random_step_ms", 1e3 * cpu_s(lambda: [one_step() for _ in range(100)]) / 100, "ms")
 
 
 def _step_of_a_long_log(emit: Callable[[str, float, str], None], episodes: list[Recording]) -> None:
@@ -161,14 +161,14 @@ def _step_of_a_long_log(emit: Callable[[str, float, str], None], episodes: list[
         write_mcap(replace(episodes[0], columns=columns), path)
         order = np.random.default_rng(1).integers(10 * STEPS, size=100).tolist()
         with open_steps(path) as steps:
-            emit("recording.mcap.random_step_ms", 1e3 * _cpu_s(lambda: [steps[k] for k in order]) / len(order), "ms")
+            emit("recording.mcap.random_step_ms", 1e3 * cpu_s(lambda: [steps[k] for k in order]) / len(order), "ms")
 
         def opened(k: int) -> None:
             with open_steps(path) as steps:
                 steps[k]
 
-        emit("recording.mcap.open_and_step_ms", 1e3 * _cpu_s(lambda: [opened(k) for k in order]) / len(order), "ms")
-        emit("recording.mcap.whole_long_log_ms", 1e3 * _cpu_s(lambda: read_mcap(path)), "ms")
+        emit("recording.mcap.open_and_step_ms", 1e3 * cpu_s(lambda: [opened(k) for k in order]) / len(order), "ms")
+        emit("recording.mcap.whole_long_log_ms", 1e3 * cpu_s(lambda: read_mcap(path)), "ms")
 
 
 def _against_gfx_replay(
@@ -176,7 +176,7 @@ def _against_gfx_replay(
 ) -> None:
     """Compare the same episodes as Habitat's replay files with one Parquet episode; parsing alone counts as loading."""
     texts = [_gfx_replay(e) for e in episodes]
-    parse_s = _cpu_s(lambda: [json.loads(t) for t in texts]) / len(texts)
+    parse_s = cpu_s(lambda: [json.loads(t) for t in texts]) / len(texts)
     emit("recording.vs_gfx_replay.json_bytes_per_step", float(np.mean([len(t) for t in texts])) / STEPS, "B")
     emit("recording.vs_gfx_replay.size_ratio", float(np.mean([len(t) for t in texts])) / size, "x")
     emit("recording.vs_gfx_replay.gzip_ratio", float(np.mean([len(gzip.compress(t)) for t in texts])) / size, "x")
@@ -220,22 +220,16 @@ def _parquet(episodes: list[Recording], root: Path) -> tuple[int, float, float]:
         for index in range(len(dataset)):
             dataset.recording(index)
 
-    write_s, read_s = _cpu_s(write), _cpu_s(read)
+    write_s, read_s = cpu_s(write), cpu_s(read)
     return sum(p.stat().st_size for p in root.rglob("*") if p.is_file()), write_s, read_s
 
 
 def _mcap(episodes: list[Recording], root: Path) -> tuple[int, float, float]:
     """Return bytes on disk, and CPU seconds to write and to read."""
     paths = [root / f"{k}.mcap" for k in range(len(episodes))]
-    write_s = _cpu_s(lambda: [write_mcap(e, p) for e, p in zip(episodes, paths, strict=True)])
-    read_s = _cpu_s(lambda: [read_mcap(p) for p in paths])
+    write_s = cpu_s(lambda: [write_mcap(e, p) for e, p in zip(episodes, paths, strict=True)])
+    read_s = cpu_s(lambda: [read_mcap(p) for p in paths])
     return sum(p.stat().st_size for p in paths), write_s, read_s
-
-
-def _cpu_s(work: Callable[[], object]) -> float:
-    start = time.process_time()
-    work()
-    return time.process_time() - start
 
 
 def _stroll(rng: np.random.Generator, *, restless: bool) -> NDArray[np.float32]:
