@@ -262,6 +262,7 @@ class World:
             # one pass over the agents, in any order: what they do in a step depends on the map alone, not on the others
             at = slice(None) if alone else rows
             for k, (everywhere, command) in enumerate(zip(self.state.agents, commands, strict=True)):
+                # a tuple, as Python makes a union of classes anew in every step
                 if isinstance(command, (RecordedPoseCommand, PoseCommand)):
                     continue
                 if isinstance(command, GaitCommand):

@@ -22,7 +22,7 @@ from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import gap_along
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.motion.step import centres, drive_facing, velocities
+from sim_kinematic.motion.step import cached_offsets, drive_facing, velocities
 
 
 class Rollouts(NamedTuple):
@@ -103,12 +103,12 @@ def _arguments(free: FreeSpace, base: BaseSpec, xz: NDArray[np.float64], heading
         heading,
         (base.max_speed_mps, 0.0, base.max_turn_rad_s, float(base.allow_back)),
         STEP_S,
-        centres(base.disc_offsets_m),
+        cached_offsets(base.disc_offsets_m),
         base.disc_radius_m,
         base.slide_iterations,
         base.clearance_tolerance_m,
         base.contact_tolerance_m,
-        centres(hull_of(base)),
+        cached_offsets(hull_of(base)),
         base.disc_radius_m + AVOIDANCE.person_radius_m,
         AVOIDANCE.doubt_mps,
         base.farthest_m(STEP_S),

@@ -323,7 +323,7 @@ def drive_robots(
         action[:, (0, *range(2, action.shape[1]))] *= stairs_speeds(free.heights, state.xz)[:, None]
     limits = (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, float(spec.allow_back))
     moved = state.xz, state.heading, state.contact
-    offsets = centres(spec.disc_offsets_m)
+    offsets = cached_offsets(spec.disc_offsets_m)
     if spec.slide == "strict":
         broken = drive_worlds(
             free.sdf,
@@ -379,7 +379,7 @@ def stairs_speeds(heights: np.ndarray, xz: np.ndarray) -> np.ndarray:
 
 def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], radius_m: float) -> np.ndarray:
     """Return the discs ``(x, z, radius)`` [W, D, 3] of a base at ``xz`` [W, 2], centred at D offsets along its axis."""
-    along = centres(tuple(offsets_m))
+    along = cached_offsets(tuple(offsets_m))
     discs = np.empty((len(xz), len(along), 3))
     discs[:, :, 0] = xz[:, :1] + np.cos(heading)[:, None] * along
     discs[:, :, 1] = xz[:, 1:] - np.sin(heading)[:, None] * along
@@ -388,7 +388,7 @@ def discs_at(xz: np.ndarray, heading: np.ndarray, offsets_m: tuple[float, ...], 
 
 
 @lru_cache(maxsize=64)
-def centres(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
+def cached_offsets(disc_offsets_m: tuple[float, ...]) -> np.ndarray:
     """Return the offsets of discs [D] [m] as an array, cached: to make one takes a tenth of the step of one world."""
     return np.array(disc_offsets_m, np.float64)
 
