@@ -35,7 +35,7 @@ from h3data_habitat.limits import MAX_AGENTS
 from h3data_motion.amass import npz_arrays
 from h3data_motion.bvh import read_bvh_file
 from h3data_pipelines.cli import main
-from tests.examples import examples
+from tests.random_cases import examples
 
 POSE = {"translation": [1.5, 0.25, -2], "rotation": [1, 0, 0, 0]}
 FLIPPED = {"translation": [1.5, 0.25, -2], "rotation": [-0.5, 0.5, 0.5, 0.5]}

@@ -29,8 +29,8 @@ from h3data.metrics.paper.encounter import PAPER, encounter_series
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 from h3data_pipelines.metric_texts import explain
 from h3data_viewers.rerun.timeseries import following_rows
-from tests.examples import examples
 from tests.paths import ROOT
+from tests.random_cases import examples
 
 ROBOT = Agent(name="spot", kind="robot")
 HUMAN = Agent(name="alex", kind="human")

@@ -28,7 +28,7 @@ from h3data.recording import (
 )
 from h3data_pipelines.cli import main
 from h3data_pipelines.commands import converting
-from tests.examples import examples
+from tests.random_cases import examples
 
 
 def episode(name: str, steps: int = 5, *, joints: int = 3, extra: str = "", dt_ns: int = 33_333_333) -> Recording:

@@ -27,7 +27,7 @@ from h3data_pipelines.validation import recordings as validation
 from h3data_pipelines.validation.recordings import Finding, validate_recording
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.resume import verify
-from tests.examples import examples
+from tests.random_cases import examples
 from tests.recording.strategies import random_bits, recordings
 from tests.simulated import simulate_social_nav, social_nav_episode
 

@@ -36,8 +36,8 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data.recording.mcap.scan import scan_records
-from tests.examples import examples
 from tests.paths import ROOT
+from tests.random_cases import examples
 from tests.recording.strategies import simple_recording
 
 FLUSH_ROWS = 30  # one second

@@ -45,8 +45,8 @@ from h3data.recording.parquet.moments import lerobot_stats, merged, moments_of, 
 from h3data.recording.parquet.records import _records
 from h3data.recording.parquet.schema import SIDECARS, record_schema
 from h3data.recording.schema import DTYPES, struct_from_dict
-from tests.examples import examples
 from tests.paths import REAL, ROOT
+from tests.random_cases import examples
 from tests.recording.strategies import recordings, simple_recording
 
 SOME = settings(

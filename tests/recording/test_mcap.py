@@ -30,7 +30,7 @@ from h3data.recording import (
 from h3data.recording.mcap.scan import MAGIC
 from h3data.recording.mcap.wire import message_class, step_descriptor, struct_descriptor, wire_layouts
 from h3data.recording.schema import RECORD_TYPES, STRUCTS, layout_of
-from tests.examples import examples
+from tests.random_cases import examples
 from tests.recording.strategies import recordings, simple_recording
 
 SOME = settings(

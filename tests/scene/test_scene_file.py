@@ -36,7 +36,7 @@ from h3data.scene import (
 )
 from h3data.scene.scene_file import _linear_of_srgb, _srgb_of_linear, scene_bytes
 from h3data_homes import HomeSpec, build_home
-from tests.examples import examples
+from tests.random_cases import examples
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from h3data.bodies.people.planted_gait import on_floor, planted_states, pose_pla
 from h3data.bodies.people.soles import LEG_JOINTS, sole_points
 from h3data.geometry import Array, ground_pose, pose_to_matrix
 from h3data.scene.floor_heights import LEVEL
-from tests.examples import examples
+from tests.random_cases import examples
 
 STEPS = 45
 """Of each part of a random track."""

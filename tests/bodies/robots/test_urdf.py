@@ -17,8 +17,8 @@ from h3data.bodies.robots.urdf import Urdf
 from h3data.errors import FormatError, H3DataError, InputError, MissingAssetError
 from h3data.geometry import pose_from_matrix, pose_inverse, pose_multiply
 from h3data.scene.records import Box, Capsule, Cylinder, Hull
-from tests.examples import examples
 from tests.paths import HABITAT_SIM
+from tests.random_cases import examples
 
 needs_real = pytest.mark.skipif(not HABITAT_SIM.is_dir(), reason="Habitat's real files are not beside the checkout")
 FILES = {

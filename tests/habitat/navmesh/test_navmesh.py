@@ -22,8 +22,8 @@ from h3data_habitat.navmesh.file import read_navmesh, write_navmesh
 from h3data_habitat.navmesh.navmesh import NavMesh, NavMeshSettings, free_space_from_navmesh, navmesh_from_free_space
 from h3data_habitat.navmesh.pathfinder import PathFinder
 from h3data_homes import HomeSpec, build_home
-from tests.examples import examples
 from tests.paths import REAL
+from tests.random_cases import examples
 
 ROOMS = ["simple_room_default", "simple_room_6chairs"]
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason=f"no real Habitat files in {REAL}")

@@ -24,8 +24,8 @@ from h3data_habitat.navmesh._surface import REACH_M, Surface, contains, height, 
 from h3data_habitat.navmesh.file import read_navmesh
 from h3data_habitat.navmesh.navmesh import free_space_from_navmesh
 from h3data_habitat.navmesh.pathfinder import MultiGoalShortestPath, PathFinder, ShortestPath
-from tests.examples import examples
 from tests.habitat.navmesh.test_navmesh import REAL, ROOMS, mesh_of, needs_real, rect, room
+from tests.random_cases import examples
 
 FREE_TOL_M = 2e-6
 """Answers of the simulator are float32: 5e-7 m at 5 m."""

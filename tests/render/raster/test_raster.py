@@ -17,7 +17,7 @@ from h3data.render.raster.cpu import CpuEngine
 from h3data.render.raster.drawings import Drawings
 from h3data.render.raster.raster_draw import hidden
 from h3data.render.raster.raster_simd import blend_block
-from tests.examples import examples
+from tests.random_cases import examples
 
 EDGE = 2e-4
 """Pixels whose ray passes an edge closer than this (barycentric) may go either way."""

@@ -15,7 +15,7 @@ from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, 
 from h3data.render.shade.cutouts import cut_out_faces, pack_opacity
 from h3data_rays import RayCaster
 from h3data_rays.rays import solid_points
-from tests.examples import examples
+from tests.random_cases import examples
 from tests.render.raster.test_raster import random_view, soup
 
 OUTPUTS = ("depth", "instance", "triangle", "rgb")

@@ -19,7 +19,7 @@ from h3data.scene.freespace._visibility_build import edges_inside
 from h3data.scene.freespace.build import build_from_walkable
 from h3data_habitat.navmesh.navmesh import free_space_from_navmesh, navmesh_from_free_space
 from h3data_homes import HomeSpec, build_home
-from tests.examples import examples
+from tests.random_cases import examples
 
 SIZES: dict[str, Any] = {"radius_m": 0.25, "height_m": 1.41, "max_climb_m": 0.2, "cell_m": 0.05}
 

@@ -19,8 +19,8 @@ from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable, scene_key
 from h3data.scene.freespace.store import cache_folder
 from h3data.scene.records import Asset, Box, Instance, Room, Scene
-from tests.examples import examples
 from tests.paths import ROOT
+from tests.random_cases import examples
 
 SIZES = {"radius_m": 0.25, "height_m": 1.41, "max_climb_m": 0.2, "cell_m": 0.05}
 

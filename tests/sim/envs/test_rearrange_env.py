@@ -25,7 +25,7 @@ from sim_kinematic.policies.rearrange import planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, SENSES, exact
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from tests.examples import examples
+from tests.random_cases import examples
 from tests.sim.steppers import PAIR, SkillSession
 from tests.sim.steppers import rearrange_env as make_env
 from tests.simulated import simulate_rearrange

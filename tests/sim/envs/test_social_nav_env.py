@@ -33,7 +33,7 @@ from sim_kinematic.tasks.episode import with_options
 from sim_kinematic.tasks.play import WorldRollout
 from sim_kinematic.tasks.rearrange.episode import ORACLE_RULES
 from sim_kinematic.tasks.registry import task_registry
-from tests.examples import examples
+from tests.random_cases import examples
 from tests.sim.steppers import PAIR, Batch
 from tests.sim.steppers import social_nav_env as make
 from tests.simulated import simulate_social_nav

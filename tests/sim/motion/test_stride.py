@@ -24,7 +24,7 @@ from sim_kinematic.motion.spec import HOME_WALKER, NATURAL_WALKER, STEP_S, Strid
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.motion.stride import SHOULDER_M, Strider, stride_step
 from sim_kinematic.tasks.resume import verify
-from tests.examples import examples
+from tests.random_cases import examples
 
 RADIUS_M = 0.25
 STRIDE = NATURAL_WALKER.stride

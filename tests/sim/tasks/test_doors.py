@@ -22,7 +22,7 @@ from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpe
 from sim_kinematic.tasks.recorder import simulate
 from sim_kinematic.tasks.resume import resume, verify
 from sim_kinematic.tasks.sessions import Session
-from tests.examples import examples
+from tests.random_cases import examples
 from tests.simulated import REARRANGE, rearrange_episode
 
 

@@ -25,7 +25,7 @@ from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.episode import sample_pair_starts as draw_starts
 from sim_kinematic.tasks.social_nav import SocialNav, oracle_min_steps, steps_to_find
-from tests.examples import examples
+from tests.random_cases import examples
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 
