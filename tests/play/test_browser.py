@@ -198,13 +198,19 @@ def test_who_has_nothing_to_take_can_sit_and_lie_down(tmp_path: Path) -> None:
     with Server(tmp_path / "out", app="crowd", partner="still", scenes="small:1") as server:
         said = play("seats", f"{server.links[0]}@{x},{z}", tmp_path)
     assert "sit down on the nearest seat, or get up" in said["help"][0]
-    assert "wave" not in said["help"][0]
-    assert said["help"][1].endswith("The buttons in the middle sit down and lie down, where that is possible.")
-    assert said["wave"] == "You cannot do this here."
-    assert said["near"] == ["Sit down", "Lie down"]
+    assert "wave" in said["help"][0]
+    assert said["help"][1].endswith("sit down, lie down, wave and look at a phone, where that is possible.")
+    assert said["hint"].strip().endswith("X Wave · P Phone")
+    assert said["near"] == ["Sit down", "Lie down", "Wave", "Phone"]
     recording = read_mcap(next((tmp_path / "out").glob("*.mcap")))
     number = next(k for k, agent in enumerate(recording.agents) if agent.kind == "human")
     assert recording.columns[f"agent_{number}.motion_seat"][:, 1].max() == 2
+    assert [event.target for event in recording.events if event.kind == "activity"] == [
+        "wave",
+        "stand",
+        "phone",
+        "stand",
+    ]
     assert verify(recording).difference is None
 
 

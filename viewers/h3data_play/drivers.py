@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -19,6 +20,7 @@ from h3data.bodies.people.reach import hand_points
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat, quat_from_matrix, wrap_angle
+from h3data.replay.posed_recording import RAMP_S
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.seats import seats_of
 from h3data_play.guide import FLOOR_SNAP_M, Guide
@@ -66,16 +68,20 @@ MOST_UNSAID = 5
 GOAL_M = 0.02
 """Distance from an object's goal within which a chosen place means the goal [m]."""
 
+PHONE = "phone"
+"""Name of the gesture and of the chore of looking at a phone."""
 WAVES = 3
 """Number of strokes of a waving hand."""
+LASTS_S = {"wave": WAVES * GESTURES["wave"].seconds, PHONE: math.inf}
+"""Duration of each gesture of a player [s]; one without an end lasts until the player ends it."""
+FADE_STEPS = round(RAMP_S / STEP_S)
+"""Number of steps in which the hands leave a gesture."""
 OFFER_STEPS = 15
 """Number of steps between two searches for seats and things that the player could use."""
 AHEAD_M = 5.0
 """Distance within which one seat after the other is searched for room, one in a step, before the player comes near [m]."""
 ARRIVED_M = 0.1
 """Distance from the place before a seat within which a person begins to sit down [m]."""
-PHONE = "phone"
-"""Name of the gesture and of the chore of looking at a phone."""
 
 
 class Driver:
@@ -174,6 +180,11 @@ class Driver:
         """Return the chores that are possible now, each with its ``name`` and the kind of the ``thing``."""
         return []
 
+    @property
+    def activity(self) -> tuple[str, float, float] | None:
+        """Return the activity that the columns do not show: its name, and the times since its start and to its end [s]."""
+        return None
+
     def can_place(self, point: Any) -> str:
         """Return the reason why the held object could not be placed at a point now; empty if it could."""
         return "There is nothing to place here."
@@ -234,8 +245,28 @@ class SeatSearch:
             self._place = place
 
 
+@dataclass
+class Gesturing:
+    """Gesture of a player in a task without skills, which recordings and states show by its name."""
+
+    name: str
+    left: float
+    """Number of steps until it ends, infinite for one that a player ends."""
+    steps: int = 0
+    """Number of steps so far."""
+
+    def fade(self) -> None:
+        """End the gesture as soon as the hands have left it."""
+        self.left = min(self.left, FADE_STEPS)
+
+    def go_on(self) -> bool:
+        """Count one step more, and return whether the gesture still lasts."""
+        self.steps, self.left = self.steps + 1, self.left - 1
+        return self.left >= 0
+
+
 class SittingDriver(Driver):
-    """Driver of a person in tasks without skills, who can also sit and lie down."""
+    """Driver of a person in tasks without skills, who can also sit and lie down, wave, and look at a phone."""
 
     def __init__(self, session: Session, number: int) -> None:
         super().__init__(session, number)
@@ -252,9 +283,20 @@ class SittingDriver(Driver):
         """Next place and posture of a person who waits because another agent is in the way."""
         self._gets_up, self._why = False, ""
         self._search = SeatSearch(episode.scene, self.seats)
+        self.gesture: Gesturing | None = None
+        """Gesture that the person makes."""
 
     def follow(self, message: Act) -> str:
-        """Carry out a message: sit or lie down, or get up, as in tasks with skills."""
+        """Carry out a message: sit or lie down, or get up, or make a gesture, as in tasks with skills."""
+        if isinstance(message, Gesture):
+            if self.seat is not None:
+                return "Get up first."
+            own = self.gesture
+            if own is not None and own.name == message.name:
+                own.fade()
+            else:
+                self.gesture = Gesturing(message.name, LASTS_S[message.name] / STEP_S + FADE_STEPS)
+            return ""
         if not isinstance(message, Sit):
             return super().follow(message)
         sits = self.seat is not None
@@ -262,6 +304,8 @@ class SittingDriver(Driver):
         place = None if sits else self.seats.nearest(self._state.xz[0], self.taken, lies=message.lies)
         if place is None:
             return "" if sits else sentence("no_seat")
+        if self.gesture is not None:
+            self.gesture.fade()
         why = self.go(place.before[:2], place.before.item(2))
         self._goal = None if why else place
         return why
@@ -278,13 +322,13 @@ class SittingDriver(Driver):
         """Return the command for the next step: the motion to or from a seat, or else a velocity."""
         if self.seat is None:
             velocity = self.velocity()
-            if self._goal is None or self.guide is not None:
-                return Velocity(*velocity)
+            if self._goal is None or self.guide is not None or self.gesture is not None:
+                return self._walking(*velocity)
             self._arrive(self._goal)
         moved = self._waits or next(self._motion, None)
         if self.seat is None or moved is None:
             self.seat = None
-            return Velocity(*self.velocity())
+            return self._walking(*self.velocity())
         (place, share), own = moved, self._state
         discs = self.session.play.world.circles(self.number)[0]
         now, then = (np.hypot(*(discs[:, :2] - xz).T) for xz in (own.xz[0], place[:2]))
@@ -296,6 +340,20 @@ class SittingDriver(Driver):
         # headings are never wrapped
         heading = own.heading.item(0) + float(wrap_angle(place[2] - own.heading.item(0)))
         return PoseAction(place[:2], heading, (self.seat.seat.height_m, float(share)))
+
+    def _walking(self, forward: float, turn: float) -> Velocity:
+        """Return the command of a step in which the person stands or walks, and go on with the gesture."""
+        own = self.gesture
+        if own is None or not own.go_on():
+            self.gesture = None
+            return Velocity(forward, turn)
+        return Velocity(forward, turn, own.name)
+
+    @property
+    def activity(self) -> tuple[str, float, float] | None:
+        """Return the gesture, with the times since its start and to its end [s]."""
+        own = self.gesture
+        return None if own is None else (own.name, (own.steps - 1) * STEP_S, own.left * STEP_S)
 
     def _arrive(self, goal: SeatPlace) -> None:
         """Begin to sit down on a seat to which the guided walk has led, if it is still free."""
@@ -330,7 +388,7 @@ class SittingDriver(Driver):
         if self._search.is_due(len(self.session.recorder), xz):
             taken = self.taken
             self._search.ask(xz, taken, lambda lies: self.seats.nearest(xz, taken, lies=lies) is not None)
-        return self._search.flags
+        return CAN_GESTURE | self._search.flags
 
     @property
     def taken(self) -> list[Array]:
@@ -591,7 +649,7 @@ class PersonDriver(SkillDriver):
             self.gestured += 1
             right = right or self.reach_of(seconds)
             head = head or (0.0, float(np.radians(gesture.head_deg)))
-            if self.gesture == "wave" and seconds >= WAVES * gesture.seconds:
+            if seconds >= LASTS_S[self.gesture]:
                 self.gesture = ""
         return PersonCommand(forward, turn, self.hands.get("left"), right, head)
 

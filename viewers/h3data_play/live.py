@@ -390,7 +390,8 @@ class LiveGame:
         sentences = {number: driver.after(result) for number, driver in self.drivers.items()}
         self.ended = self.app.ended = self.app.step(result) or result.ended or self._stopped
         self.columns = session.recorder.latest_columns()
-        self.packed = self.packer.pack(self.columns, self.carried)
+        activities = {number: shown for number, driver in self.drivers.items() if (shown := driver.activity)}
+        self.packed = self.packer.pack(self.columns, self.carried, activities)
         return {number: text for number, text in sentences.items() if text}
 
     def state(self, number: int, clock_ms: float, *, whole: bool) -> bytes:

@@ -2,7 +2,7 @@
 
 import { Vector3, WebGLRenderer } from "three";
 import {
-  busyHints, choreHints, deed, heldBy, hints, holderText, situation, thumbText, useKey, type Barriers, type Chore, type Seen, type Situation,
+  busyHints, choreHints, deed, heldBy, hints, holderText, postureHints, situation, thumbText, useKey, type Barriers, type Chore, type Seen, type Situation,
 } from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
@@ -73,7 +73,6 @@ export class Game {
   /** Whether a person is played: only they sit down, drop things and hand them over. */
   private readonly person: boolean;
   /** Whether there is anything for hands in this home. */
-  private readonly hands: boolean;
 
   private readonly life = new AbortController();
 
@@ -117,7 +116,6 @@ export class Game {
     if (agent) void this.offerHeadset(agent.drive);
     const robot = manifest.agents.some((other, k) => other.kind === "robot" && k !== manifest.me);
     this.person = agent?.kind === "human";
-    this.hands = !!agent && manifest.objects.length + manifest.joints.length > 0;
     const things = !!agent && manifest.objects.length > 0;
     const joints = !!agent && manifest.joints.length > 0;
     const chores = this.person && manifest.brought?.some(({ name }) => name.startsWith(`${agent.name}_`)) === true;
@@ -207,9 +205,8 @@ export class Game {
   }
 
   private assume(wish: "sit" | "lie" | "wave" | "phone"): void {
-    const rests = wish === "sit" || wish === "lie";
-    if (!this.person || !(this.hands || rests)) this.hud.toast(say(wish === "sit" ? "no_sitting" : "no_posture"));
-    else if (rests) this.net.send({ k: "sit", lies: wish === "lie" });
+    if (!this.person) this.hud.toast(say(wish === "sit" ? "no_sitting" : "no_posture"));
+    else if (wish === "sit" || wish === "lie") this.net.send({ k: "sit", lies: wish === "lie" });
     else this.net.send({ k: "gesture", name: wish });
   }
 
@@ -401,7 +398,9 @@ export class Game {
     const use: [string, string][] =
       useful < 0 || !useKey(device) ? [] : [[useKey(device), say(`use_${this.deeds.uses[useful]}`, { thing: this.manifest.objects[useful]!.label })]];
     const can = [...hints(now, this.manifest, state, device, this.aim?.fits ?? null), ...choreHints(this.chores, device), ...use];
-    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busyHints(device) : can, device);
+    const rest = this.person ? postureHints(state.flags, device) : [];
+    const busy = [...busyHints(device), ...(state.flags & FLAG.seated ? rest : [])];
+    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busy : can.length ? can : rest, device);
     this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
       const who = holderText(this.manifest, state.things[k]!.held);
       const item = { thing: k, name: this.manifest.objects[k]!.label, done: now.done[k]! };

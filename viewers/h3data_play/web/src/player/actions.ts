@@ -4,7 +4,7 @@ import { say } from "../words.ts";
 import type { Base } from "../motion/drive.ts";
 import { isOpen } from "../scene/joints.ts";
 import type { Manifest } from "../link/manifest.ts";
-import type { State } from "../link/wire.ts";
+import { FLAG, type State } from "../link/wire.ts";
 
 /** From here a thing is near enough to be offered; whether the hand reaches it, the server says. */
 export const NEAR_M = 1.1;
@@ -70,6 +70,16 @@ export function choreHints(chores: Chore[], device: string): [string, string][] 
     const key = chore.name === "phone" ? "P" : "K";
     return [device === "touch" ? choreText(chore) : key, say(`chore_${chore.name}_${chore.thing}`)];
   });
+}
+
+/** Keys of the postures and gestures that are possible now; fingers have buttons for them. */
+export function postureHints(flags: number, device: string): [string, string][] {
+  if (device !== "keys" && device !== "mouse") return [];
+  const { sits, lies, seated, gestures } = FLAG;
+  const keys: [number, string, string][] = [
+    [seated, "C", "rise"], [sits, "C", "sit"], [lies, "L", "lie"], [gestures, "X", "wave"], [gestures, "P", "phone"],
+  ];
+  return keys.filter(([flag]) => flags & flag).map(([, key, name]) => [key, say(`posture_${name}`)]);
 }
 
 /** What one press does: puts down, opens or closes a door or drawer, takes. */

@@ -63,10 +63,9 @@ export class Hud {
   /** What there is to do in this home. */
   offers({ things, joints, person, robot, places, talk, chores }: Offers): void {
     document.body.toggleAttribute("data-hands", things || joints);
-    const postures = (things || joints) && person;
     const there: Record<string, boolean> = {
       act: things, goto: things, turn: joints, drop: things && person, give: things && person && robot,
-      sit: person, lie: person, wave: postures, phone: postures, chore: chores, use: places, do: places, talk,
+      sit: person, lie: person, wave: person, phone: person, chore: chores, use: places, do: places, talk,
     };
     const rows = KEYS.filter(([, name]) => there[name] ?? true);
     $("keys").replaceChildren(
@@ -78,7 +77,7 @@ export class Hud {
     );
     const told = ["help_pointing", things && "help_things", things && person && "help_places", joints && "help_joints"];
     setText($("help-text"), told.filter((name) => name !== false).map((name) => say(name)).join(" "));
-    setText($("help-touch"), [say("help_stick"), things || joints ? say("help_thumbs") : "", postures ? say("help_postures") : person ? say("help_seats") : ""].join(" ").trim());
+    setText($("help-touch"), [say("help_stick"), things || joints ? say("help_thumbs") : "", person ? say("help_postures") : "", chores ? say("help_chores") : ""].filter(Boolean).join(" "));
   }
 
   on(button: string, press: () => void, signal: AbortSignal): void {

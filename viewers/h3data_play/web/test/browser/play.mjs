@@ -486,14 +486,24 @@ async function hands() {
 async function seats() {
   const [link, at] = url.split("@");
   const [x, z] = at.split(",").map(Number);
-  const player = await openPage(link, { width: 1280, height: 720, touch: true });
+  const player = await openPage(link, { width: 1280, height: 720, touch: true, full: !!pictures });
   await player.started();
   const flags = "probe.game.net.latest.flags";
   const text = (id) => player.ask(`document.getElementById('${id}').textContent`);
   const help = [await text("keys"), await text("help-touch")];
+  await player.ask("probe.game.input.device = 'keys'; 0");
+  await player.drawn(3);
+  const hint = await text("hint");
+  await player.shot(picture("hint"));
   await player.press("x");
-  await player.nap(300);
-  const wave = await text("toast");
+  await player.nap(1400);
+  await player.shot(picture("waves"));
+  await player.nap(3000);
+  await player.press("p");
+  await player.nap(1500);
+  await player.shot(picture("phone"));
+  await player.press("p");
+  await player.nap(1000);
   await player.ask(`probe.game.net.send({ k: "goto", p: [${x}, 0, ${z}] }); 0`);
   await player.nap(500);
   await player.idle();
@@ -513,7 +523,7 @@ async function seats() {
   await player.nap(4500);
   await player.drawn(3);
   await player.shot(picture("sits"));
-  return { help, wave, near, ...(await player.close()) };
+  return { help, hint, near, ...(await player.close()) };
 }
 
 /** The tutorial: to the ring, by a turn to the thing, then by one key. */
