@@ -178,7 +178,7 @@ def test_who_sits_gets_up_before_a_gesture(tmp_path: Path) -> None:
     assert player.send(k="sit", lies=False) == ""
     played_until(player, 1.0)
     assert player.send(k="gesture", name="wave") == "Get up first."
-    assert driver_of(player).gesture is None
+    assert driver_of(player).doing is None
     recording = finished(player, tmp_path)
     put_away = next(event.step for event in recording.events if (event.kind, event.target) == ("activity", "stand"))
     assert recording.columns[f"agent_{player.number}.motion_seat"][: put_away + 1, 1].max() < 0.1

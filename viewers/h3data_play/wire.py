@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.gestures import NAMES as GESTURE_NAMES
 from h3data.bodies.people.gestures import add_gestures, lead_hands
 from h3data.bodies.people.planted_gait import PlantedWalk, drawn_in
 from h3data.bodies.people.sitting import take_seats
@@ -181,8 +182,12 @@ class StatePacker:
         if agent + "motion_seat" in columns:
             take_seats(body, quats[None], pelvis[None], columns[agent + "motion_seat"][-1:])
         if k in self._activities:
-            name, since, left = self._activities[k]
-            add_gestures(body, quats[None], pelvis[None], gesture_rows(name, k, np.array([since]), left))
+            name, seconds, left = self._activities[k]
+            since = np.array([seconds])
+            if name in GESTURE_NAMES:
+                add_gestures(body, quats[None], pelvis[None], gesture_rows(name, k, since, left))
+            else:
+                body.acts[name].perform(quats[None], pelvis[None], since, np.inf, left)
         if agent + "motion_hands" in columns:
             lead_hands(body, quats[None], pelvis[None], columns[agent + "motion_hands"][-1:])
         return pose_multiply(base, np.concatenate([pelvis, quats[0]])), quats[1:]

@@ -56,9 +56,10 @@ test("who carries a tray is offered what can be done with it and nothing else", 
 });
 
 test("keys of postures and gestures are named where they are possible", () => {
-  assert.deepEqual(postureHints(16 | 128, "keys"), [["C", "Sit down"], ["X", "Wave"], ["P", "Phone"]]);
-  assert.deepEqual(postureHints(64, "mouse"), [["C", "Get up"]]);
-  assert.deepEqual(postureHints(16 | 32 | 128, "touch"), []);
+  assert.deepEqual(postureHints(16 | 128, "keys", []), [["C", "Sit down"], ["X", "Wave"], ["P", "Phone"]]);
+  assert.deepEqual(postureHints(64, "mouse", ["dance"]), [["C", "Get up"]]);
+  assert.deepEqual(postureHints(16 | 32 | 128, "touch", ["dance"]), []);
+  assert.deepEqual(postureHints(128, "keys", ["dance", "stretch_arms"]).slice(2), [["1", "dance"], ["2", "stretch arms"]]);
 });
 
 test("what is shut in is not taken before it is open", () => {

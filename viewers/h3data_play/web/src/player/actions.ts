@@ -72,14 +72,20 @@ export function choreHints(chores: Chore[], device: string): [string, string][] 
   });
 }
 
-/** Keys of the postures and gestures that are possible now; fingers have buttons for them. */
-export function postureHints(flags: number, device: string): [string, string][] {
+/** Keys of postures, gestures and motions (`acts`) that are possible now; fingers have buttons for them. */
+export function postureHints(flags: number, device: string, acts: string[]): [string, string][] {
   if (device !== "keys" && device !== "mouse") return [];
   const { sits, lies, seated, gestures } = FLAG;
   const keys: [number, string, string][] = [
     [seated, "C", "rise"], [sits, "C", "sit"], [lies, "L", "lie"], [gestures, "X", "wave"], [gestures, "P", "phone"],
   ];
-  return keys.filter(([flag]) => flags & flag).map(([, key, name]) => [key, say(`posture_${name}`)]);
+  const own: [string, string][] = flags & gestures ? actKeys(acts) : [];
+  return [...keys.filter(([flag]) => flags & flag).map(([, key, name]): [string, string] => [key, say(`posture_${name}`)]), ...own];
+}
+
+/** Keys of the motions of files that a person can perform, each with its name. */
+export function actKeys(acts: string[]): [string, string][] {
+  return acts.slice(0, 9).map((name, k) => [String(k + 1), name.replaceAll("_", " ")]);
 }
 
 /** What one press does: puts down, opens or closes a door or drawer, takes. */
