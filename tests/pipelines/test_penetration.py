@@ -145,7 +145,9 @@ def test_nothing_of_any_shipped_robot_or_person_is_inside_anything(robot: str) -
     figures: dict[str, float] = {}
     run(lambda name, value, unit: figures.setdefault(name, value), episodes=6, robots=(robot,))
     # people who do chores lean into what they handle (docs/crowds.md)
-    shares = {name: share for name, share in figures.items() if name.endswith(".above_2cm") and "open_homes" not in name}
+    shares = {
+        name: share for name, share in figures.items() if name.endswith(".above_2cm") and "open_homes" not in name
+    }
     assert len(shares) == 3
     assert max(shares.values()) <= 0.002, shares
 
