@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import h3data
-from benchmarks.chores import HOME, SEED, STOPS, without_doors
+from benchmarks.chores import HOME, SEED, STOPS
 from benchmarks.motion import motion_of
 from h3data.bodies import Humanoid, humanoid_names
 from h3data.geometry import pose_to_matrix
@@ -100,7 +100,7 @@ def figures_of(recording: Recording) -> dict[str, Figures]:
     assert isinstance(body, Humanoid)
     base = recording.columns["agent_0.base_pose"].astype(np.float64)
     pops = motion_of(body, base, replay.joint_matrices(0, steps).astype(np.float64))["pops"]
-    (found,) = penetrations(without_doors(recording))
+    (found,) = penetrations(recording, moved=False)
     depth = found.unintended_m.copy()
     own, idle = spans(recording), np.ones(len(recording), np.bool_)
     rows = {name: np.concatenate([np.arange(*span) for span in parts]) for name, parts in own.items()}

@@ -20,7 +20,6 @@ Each body does all of it in one home that opens, alone. Skin is that of the ligh
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -35,7 +34,6 @@ from h3data.recording.records import JOINTS
 from h3data.replay import Replay
 from h3data.scene.articulation import handle_points, joints_of
 from h3data.scene.records import Box, instance_matrix
-from h3data.scene.scene_file import scene_bytes
 from h3data_crowds.chores import CHORES, FINGERS, GRIP_BACK_M, TRAY_M, ChoreRoutine
 from h3data_crowds.routines import Stop
 from h3data_pipelines.validation.penetration import penetrations
@@ -124,7 +122,7 @@ def figures_of(recording: Recording) -> dict[str, float]:
     out["joint_deg"] = float(np.degrees(2 * np.arccos(dots)).max())
     done = [event.kind for event in recording.events if event.kind in ("takes", "puts")]
     out["undone"] = float(4 - min(len(done), 4))
-    (found,) = penetrations(without_doors(recording), every=3)
+    (found,) = penetrations(recording, every=3, moved=False)
     busy = np.zeros(len(recording), np.bool_)
     for begin, end in spans:
         busy[begin + 30 : end] = True
@@ -133,19 +131,6 @@ def figures_of(recording: Recording) -> dict[str, float]:
     row, part = np.unravel_index(depth.argmax(), depth.shape)
     print(f"  deepest: {found.parts[part]} in {found.thing[row, part] or 'nothing'} at step {found.steps[row]}")
     return out
-
-
-def without_doors(recording: Recording) -> Recording:
-    """Return a recording whose home lacks the doors that move in it, as `penetrations` has them where they are closed."""
-    scene = Replay(recording).scene
-    assert scene is not None
-    moved = np.flatnonzero(np.ptp(recording.columns[JOINTS].astype(np.float64), axis=0) > 0)
-    doors = {joints_of(scene).names[k] for k in moved}
-    still = replace(
-        scene, instances=tuple(each for each in scene.instances if each.name not in doors), articulations=()
-    )
-    columns = {name: values for name, values in recording.columns.items() if name != JOINTS}
-    return replace(recording, columns=columns, attachments={"scene.glb": scene_bytes(still)})
 
 
 def _deepest(skin: Array, back: Array, box: Array) -> float:

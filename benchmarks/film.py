@@ -21,7 +21,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.chores import without_doors
 from benchmarks.motion import motions
 from benchmarks.people import Walks, describe
 from h3data.recording import Recording
@@ -45,7 +44,7 @@ def script() -> Any:
 
 def figures_of(recording: Recording, scene: str) -> dict[str, tuple[float, str]]:
     """Return the figures of a recording of people in a home, by name, with their units."""
-    depth, rules = unintended_depth(penetrations(without_doors(recording))), SocialNavSpec()
+    depth, rules = unintended_depth(penetrations(recording, moved=False)), SocialNavSpec()
     source = named_scenes(scene)[0].source
     free = open_free_space(source, rules.agent_radius_m, rules.agent_height_m)
     walks = Walks.of(recording, open_scene(source), free)

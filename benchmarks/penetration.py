@@ -11,9 +11,12 @@ wander beside ``quad_arm`` and another person: ``penetration.<body>.wander``.
 
 For each task and kind of agent, and each part of its body that ever is deeper than 2 mm: the share of steps in which it is
 deeper than 2 mm, 2 cm, 5 cm, and the worst. ``any`` is any part of an agent, ``arm`` arms, hands and what they hold; of people
-``walking`` is any part while the hands reach for nothing. `h3data_pipelines.validation.penetration` says what depth is.
+``walking`` is any part while the hands reach for nothing, ``open_door`` any part in doors and drawers that are moved, and
+``carried`` any part in the tray or carton of another person. `h3data_pipelines.validation.penetration` says what depth is.
 ``robot.handling.through_walls``: picks and places of robots whose straight line from the arm's base to 10 cm over the object
 goes through a wall.
+
+The task ``open_homes`` is four people with the routine ``chores`` beside a robot, in as many episodes, in homes that open.
 
     python -m benchmarks penetration --episodes 10 --robot all --robot fetch.urdf
 """
@@ -27,8 +30,9 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Robot, humanoid_names, load_robot
 from h3data.bodies.robots.robot_files import robot_names
-from h3data.errors import SceneError
+from h3data.errors import InputError, SceneError
 from h3data.recording import Recording
+from h3data.recording.records import JOINTS
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.open import named_scenes, open_free_space, open_scene
@@ -47,6 +51,8 @@ DEPTHS_M = {"2mm": 0.002, "2cm": 0.02, "5cm": 0.05}
 BODIES = ("female_0", "male_1", "female_2", "male_2")
 WANDERERS, BROADEST = "robot:{robot},human,{human}", "male_1"
 WANDER_STEPS = 600
+OPEN_HOMES, MOVED = "small2-open", {"door": "open_door", "carried": "carried"}
+"""Homes in which people do chores, and the lines of the kinds of things that are moved."""
 WALLS = "walls"
 """Name of the instance in our homes."""
 
@@ -83,7 +89,7 @@ def _measure(emit: Emit, name: str, recordings: Iterator[Recording]) -> None:
     emit(f"{name}.above_2cm", float(steps.mean()), f"of {len(steps)} steps, any part of any agent")
     for (kind, part), parts in depths.items():
         depth = np.concatenate(parts)
-        if part != "any" and depth.max() <= DEPTHS_M["2mm"]:
+        if part not in ("any", *MOVED.values()) and depth.max() <= DEPTHS_M["2mm"]:
             continue
         for label, limit in DEPTHS_M.items():
             emit(f"{name}.{kind}.{part}.over_{label}", 100 * float((depth > limit).mean()), "% of steps")
@@ -120,6 +126,8 @@ def _depths(recording: Recording, measured: list[Penetration]) -> Iterator[tuple
         agent = recording.agents[found.agent]
         yield agent.kind, "any", found.depth_m.max(1)
         yield agent.kind, "arm", found.depth_m[:, found.arm].max(1)
+        for kind, part in MOVED.items() if "object_pose" in recording.columns and JOINTS in recording.columns else ():
+            yield agent.kind, part, np.where(found.kind == kind, found.unintended_m, 0.0).max(1)
         codes = recording.columns.get(f"agent_{found.agent}.skill")
         if agent.kind == "human" and codes is not None:
             reaches = np.isin(codes, [k for k, name in enumerate(agent.skill_names) if name in ("pick", "place")])
@@ -159,9 +167,23 @@ def _wander(episodes: int, robot: str, human: str = BROADEST) -> Iterator[Record
         yield simulate(Wander(), Wander().episode(scene, seed=seed, spec=rules, agents=agents, free=free))
 
 
+def _open_homes(episodes: int, robot: str) -> Iterator[Recording]:
+    rules = SocialNavSpec(max_steps=4 * WANDER_STEPS)
+    agents = ",".join([f"robot:{robot}", *(f"human:{body}" for body in BODIES)])
+    for seed in range(episodes):
+        source = named_scenes(f"{OPEN_HOMES}:{seed}")[0].source
+        free = open_free_space(source, rules.agent_radius_m, rules.agent_height_m)
+        try:
+            episode = Wander().episode(open_scene(source), seed=seed, spec=rules, agents=agents, free=free)
+            yield simulate(Wander(), episode, {"human": "orca+chores"})
+        except (InputError, SceneError) as fault:  # no chore, or no room, in this home
+            print(f"  {OPEN_HOMES}:{seed}: {fault}")
+
+
 EPISODES: dict[str, Callable[[int, str], Iterator[Recording]]] = {
     "social_nav": _social_nav,
     "rearrange": _rearrange,
     "wander": _wander,
+    "open_homes": _open_homes,
 }
-"""A number of episodes of each task with one robot, in the test homes in turn."""
+"""A number of episodes of each task with one robot, in the test homes in turn, or in homes that open."""

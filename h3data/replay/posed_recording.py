@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
@@ -498,11 +498,16 @@ def recorded_gestures(recording: Recording, agent: int) -> Array | None:
             begin += int(on_seat[0])
         rows = slice(begin, end)
         since, left = seconds[rows] - seconds[begin], seconds[end - 1] - seconds[rows]
-        u = np.clip(np.minimum(since, left if end < len(seconds) else np.inf) / RAMP_S, 0.0, 1.0)
-        # 1.9: time between the gestures of agents with successive numbers, so that people who talk to each
-        # other do not move alike [s]
-        out[rows] = np.column_stack([np.full(len(u), NAMES.index(event.target)), since + 1.9 * agent, smoothstep(u)])
+        out[rows] = gesture_rows(event.target, agent, since, left if end < len(seconds) else np.inf)
     return out
+
+
+def gesture_rows(name: str, agent: int, since: Array, left: ArrayLike) -> Array:
+    """Return the rows [T, 3] of `recorded_gestures` at times ``since`` a gesture began and ``left`` until it ends [T] [s]."""
+    u = np.clip(np.minimum(since, left) / RAMP_S, 0.0, 1.0)
+    # 1.9: time between the gestures of agents with successive numbers, so that people who talk to each
+    # other do not move alike [s]
+    return np.column_stack([np.full(len(u), NAMES.index(name)), since + 1.9 * agent, smoothstep(u)])
 
 
 BLOCK_STEPS = 256

@@ -7,6 +7,7 @@ to its place, and shows the motion of `ChoreRoutine`.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -79,6 +80,8 @@ class DrivenHands(CarryingHands):
     # --- what a `DrivenPerson` asks ---------------------------------------------------------------------------------------
     def infeasible(self, actor: DrivenPerson, action: Action) -> str:
         """Return the reason why an action is impossible now: the hands are full, or no such chore is near."""
+        if action.skill == CHORE and NUMBERED[action.target] == "perform":
+            return "hand_full" if self.full or actor.person.held else self._unfit(actor, self._act(actor, action)[1])
         if action.skill == CHORE:
             found = self._found(actor, NUMBERED[action.target])
             return found if isinstance(found, str) else ""
@@ -87,6 +90,8 @@ class DrivenHands(CarryingHands):
     def start(self, actor: DrivenPerson, action: Action) -> Skill:
         """Walk to the place of a chore and do it."""
         name = NUMBERED[action.target]
+        if name == "perform":
+            return (yield from self._perform(actor, *self._act(actor, action)))
         found = self._found(actor, name)
         if isinstance(found, str):
             return SkillResult("failed", found)
@@ -147,6 +152,41 @@ class DrivenHands(CarryingHands):
             for kind, thing, detail in self.events
         ]
         self.events.clear()
+
+    # --- captured motions -----------------------------------------------------------------------------------------------
+    def _act(self, actor: DrivenPerson, action: Action) -> tuple[str, Any]:
+        """Return the name of the motion that an action names, and the motion; empty and None if the body has no such motion."""
+        acts = list(actor.person.body.acts.items())
+        number = int(action.command[0]) if action.command else 0
+        return acts[number] if 0 <= number < len(acts) else ("", None)
+
+    def _unfit(self, actor: DrivenPerson, act: Any) -> str:
+        """Return the reason why a motion is impossible where somebody stands; empty if it is possible."""
+        if act is None:
+            return "no_chore"
+        others = np.zeros((0, 3)) if actor.company is None else actor.company.discs_beside(self.number)
+        return "" if act.fits(actor.free, actor.xz, actor.heading, others) else "no_room"
+
+    def _perform(self, actor: DrivenPerson, name: str, act: Any) -> Skill:
+        """Play a motion once; another command ends it in the time in which the person goes back to standing."""
+        yield from actor.person.settle()
+        place, moment = np.append(actor.xz, actor.heading), [0.0, act.seconds]
+        self.events.append((act.event, name, "1"))
+        try:
+            return (yield from actor.perform(self._shown(actor.person, act, place, moment)))
+        finally:
+            # also where a command closes this generator
+            moment[1] = min(moment[1], moment[0] + act.blend_s)
+            actor.leaving = self._shown(actor.person, act, place, moment)
+
+    def _shown(self, person: Any, act: Any, place: Array, moment: list[float]) -> Motion:
+        """Yield the motion of somebody at a place [3] who plays a motion, from one time [s] of ``moment`` to the other."""
+        while moment[0] < moment[1] - STEP_S / 2:
+            moment[0] += STEP_S
+            since, left = np.array(moment[:1]), np.array([moment[1] - moment[0]])
+            person.plays = partial(act.perform, since=since, times=1, left=left)
+            yield place, 0.0
+        person.plays = None
 
     # --- chores -------------------------------------------------------------------------------------------------------
     def _found(self, actor: DrivenPerson, name: str) -> tuple[int, Chore | None] | str:

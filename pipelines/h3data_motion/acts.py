@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -31,6 +32,8 @@ from h3data.geometry import (
     smoothstep,
 )
 from h3data.recording import Recording
+from h3data.replay.posed_recording import BEGINS
+from h3data.scene import FreeSpace
 from h3data_motion.clip import Motion, pelvis_heading
 from h3data_motion.contacts import leg_frames, legs_to
 from h3data_motion.files import load_motion, motion_bytes, read_motion
@@ -47,8 +50,8 @@ TURN_DEG = 60.0
 """Largest turn of the pelvis from the first to the last frame [deg], as the person turns back in `BLEND_S`."""
 LIFT, STEP_S = 0.3, 1 / 30
 """Height of a foot's path between standing and the clip, as a share of its length; and the duration of a step [s]."""
-OUTLINE_M = 0.04
-"""Grid on which the floor below a clip is counted [m]."""
+OUTLINE_M, INTO_M = 0.04, 0.02
+"""Grid on which the floor below a clip is counted, and depth by which a body may come into obstacles there [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,7 +60,9 @@ class Act:
 
     event: ClassVar[str] = "performs"
     """Kind of the event with which a person begins; the target ends with the name, and the detail is the number of
-    repetitions."""
+    repetitions. A person who is driven from outside begins and ends by events `activity` without a place."""
+    blend_s: ClassVar[float] = BLEND_S
+    """Time before its end in which a person goes back to standing [s]."""
     body: Humanoid
     motion: Motion
     """Motion of the body with its feet on the floor, in the agent root frame of the place where the person stands."""
@@ -78,12 +83,29 @@ class Act:
         self, recording: Recording, agent: int, name: str, steps: NDArray[np.integer], quats: Array, pelvis: Array
     ) -> None:
         """Change poses of an agent at ``steps`` [T] of a recording, in place, where the agent plays the motion ``name``."""
-        time_ns, target = recording.columns["time_ns"], f"{recording.agents[agent].name}_{name}"
-        for event in recording.events:
-            if (event.agent, event.kind, event.target) == (agent, self.event, target):
-                self.perform(quats, pelvis, (time_ns[steps] - time_ns[event.step]) * 1e-9, int(event.detail))
+        seconds, target = recording.columns["time_ns"] * 1e-9, f"{recording.agents[agent].name}_{name}"
+        own = [event for event in recording.events if event.agent == agent]
+        for k, event in enumerate(own):
+            since = seconds[steps] - seconds[max(event.step, 0)]
+            if (event.kind, event.target) == (self.event, target):
+                self.perform(quats, pelvis, since, int(event.detail))
+            elif (event.kind, event.target, event.detail) == (BEGINS, name, ""):
+                end = next((after.step for after in own[k + 1 :] if after.kind == BEGINS), None)
+                left = np.full(len(steps), np.inf) if end is None else seconds[end - 1] - seconds[steps]
+                self.perform(quats, pelvis, since, math.inf, left)
 
-    def perform(self, quats: Array, pelvis: Array, since: Array, times: int) -> None:
+    def fits(self, free: FreeSpace, xz: Array, heading: float, others: Array) -> bool:
+        """Return whether the floor below all that the body passes over is free at a place [2].
+
+        The circles ``(x, z, radius)`` [N, 3] [m] cover the ``others``.
+        """
+        cos, sin = math.cos(heading), math.sin(heading)
+        points = xz + self.outline[:, :2] @ np.array([[cos, -sin], [sin, cos]])
+        gaps = np.linalg.norm(points[:, None] - others[:, :2], axis=2) - others[:, 2]
+        room = np.minimum(free.signed_distance(points), gaps.min(1, initial=np.inf))
+        return bool((room >= self.outline[:, 2] - INTO_M).all())
+
+    def perform(self, quats: Array, pelvis: Array, since: Array, times: float, left: Array | float = math.inf) -> None:
         """Change poses of a standing person to those of the clip, in place.
 
         Into the clip and out of it, one foot after the other steps from where it stands to where the clip has it.
@@ -93,9 +115,12 @@ class Act:
             pelvis: Positions of the pelvis in the agent root frame [T, 3] [m].
             since: Time since the person began [T] [s]; before and after the repetitions, poses stay as they are.
             times: Number of repetitions.
+            left: Time until the person stands again [T] [s], if that is earlier.
         """
-        rows = np.flatnonzero((since > 0) & (since < times * self.seconds - STEP_S / 2))
+        left = np.broadcast_to(left, since.shape)
+        rows = np.flatnonzero((since > 0) & (since < times * self.seconds - STEP_S / 2) & (left >= 0))
         time, progress = self.weight(since[rows])
+        progress = np.minimum(progress, left[rows] / BLEND_S)
         clip_quats, clip_pelvis = self.motion.pose(time)
         blends = np.flatnonzero(progress < 1)
         into = rows[blends], clip_quats[blends], clip_pelvis[blends], progress[blends]

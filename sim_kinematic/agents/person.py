@@ -208,6 +208,8 @@ class Person:
         self.sizes: dict[str, float] = dict(sizes or {})
         self.look_at: Array | None = None
         """World point [3] to which head and eyes turn; None: they stay as the motion has them."""
+        self.plays: Callable[[Array, Array], object] | None = None
+        """Function that changes rotations [1, 55, 4] and pelvis [1, 3] of each pose in place, such as a captured motion."""
         self.curl: Array = np.zeros(2)
         self.gaze: Array = np.zeros(6)
         """Bend of the fingers of the left and the right hand, and turn of head and eyes beyond the motion's
@@ -588,6 +590,9 @@ class Person:
         if self.led is not None and self.led.any():
             quats, pelvis = quats.copy(), pelvis.copy()
             lead_hands(self.body, quats[None], pelvis[None], self.led[None])
+        if self.plays is not None:
+            quats, pelvis = quats.copy(), pelvis.copy()
+            self.plays(quats[None], pelvis[None])
         fade = self.transition
         if fade.kind != kind:
             fade = Transition(kind, self.bare, self.pelvis, 1.0)

@@ -48,8 +48,9 @@ SIT = "sit"
 CHORE = "chore"
 """Skill of a person who is driven from outside: handle a thing that they brought along; its target is a number of
 `CHORES`."""
-CHORES = ("take", "lift", "put", "phone")
-"""Chores: take a thing out of a fridge, take up a thing from furniture, put it down, and take out or put away a phone."""
+CHORES = ("take", "lift", "put", "phone", "perform")
+"""Chores: take a thing out of a fridge, take up a thing from furniture, put it down, take out or put away a phone, and
+perform a captured motion of the body, whose number among them is the command."""
 SEARCH = "nav_to_place"
 """Skill of agents that only know the objects that they have seen; its target is the number of a surface
 (`Scene.receptacles`)."""

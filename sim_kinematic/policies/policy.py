@@ -26,6 +26,7 @@ class Velocity(NamedTuple):
     turn: float
     """Turn rate as a share of the limit, -1..1, positive to the left."""
     skill: str = ""
+    """For a person, a gesture (`h3data.bodies.people.gestures.GESTURES`), which begins and ends with this word."""
 
 
 class WaypointAction(NamedTuple):

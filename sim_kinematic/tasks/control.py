@@ -457,6 +457,8 @@ class MotionTeam(Team):
         """Crowds of the worlds for which they were requested."""
         self._moment: Moment | None = None
         """Places of all agents in this step, once they were requested."""
+        self._words = [""] * len(self.controllers)
+        """Word that each agent reported in the last step."""
 
     def begin(self, rows: NDArray[np.intp]) -> None:
         """Remove the traffic and crowds of these worlds, because their agents start at other places."""
@@ -548,8 +550,17 @@ class MotionTeam(Team):
         return self._moment
 
     def new_events(self) -> Sequence[Event]:
-        """Return the events of people of crowds who started a reaction to a robot or an activity."""
-        return self._crowds[0].new_events if 0 in self._crowds else ()
+        """Return the events of people of crowds who started a reaction or an activity, and of people whose word changed."""
+        before, self._words = self._words, [controller.word for controller in self.controllers]
+        words = enumerate(zip(self.play.world.roster, before, self._words, strict=True))
+        return [
+            *(self._crowds[0].new_events if 0 in self._crowds else ()),
+            *(
+                Event(step=self.play.step - 1, agent=k, kind="activity", target=word or "stand")
+                for k, (member, was, word) in words
+                if member.kind == "human" and word != was
+            ),
+        ]
 
     def exact(
         self, agent: int, names: Sequence[str], sensors: Mapping[str, Sensor], *, beside: Sequence[Team] = ()

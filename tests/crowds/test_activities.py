@@ -25,7 +25,7 @@ def test_the_broadest_body_does_everything_without_being_in_anything() -> None:
     assert -0.025 < knuckles.depth_m < 0.0
     # the capsule of the hand is in the door, which is intended, and that of nothing else
     rows = np.concatenate([np.arange(*span) for span in activities.spans(recording)["knock"]])
-    (measured,) = penetrations(activities.without_doors(recording))
+    (measured,) = penetrations(recording, moved=False)
     deep = measured.depth_m[rows] > 0
     assert deep.any()
     assert {measured.parts[k] for k in np.flatnonzero(deep.any(0))} <= {"right_hand", "right_forearm"}

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 import h3data
+from examples.dance import write_bvh
 from h3data.recording import read_mcap
 from h3data_play.live import EpisodeFactory, LiveGame
 from h3data_play.plan import PlayPlan
@@ -21,6 +22,8 @@ from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.resume import verify
 from tests.paths import ROOT
+from tests.play.test_acts import place_with_room
+from tests.play.test_live import Player
 
 WEB = ROOT / "viewers" / "h3data_play" / "web"
 CHROMIUM = shutil.which(os.environ.get("CHROMIUM", "chromium"))
@@ -198,13 +201,47 @@ def test_who_has_nothing_to_take_can_sit_and_lie_down(tmp_path: Path) -> None:
     with Server(tmp_path / "out", app="crowd", partner="still", scenes="small:1") as server:
         said = play("seats", f"{server.links[0]}@{x},{z}", tmp_path)
     assert "sit down on the nearest seat, or get up" in said["help"][0]
-    assert "wave" not in said["help"][0]
-    assert said["help"][1].endswith("The buttons in the middle sit down and lie down, where that is possible.")
-    assert said["wave"] == "You cannot do this here."
-    assert said["near"] == ["Sit down", "Lie down"]
+    assert "wave" in said["help"][0]
+    assert said["help"][1].endswith("sit down, lie down, wave and look at a phone, where that is possible.")
+    assert said["hint"].strip().endswith("X Wave · P Phone")
+    assert said["near"] == ["Sit down", "Lie down", "Wave", "Phone"]
     recording = read_mcap(next((tmp_path / "out").glob("*.mcap")))
     number = next(k for k, agent in enumerate(recording.agents) if agent.kind == "human")
     assert recording.columns[f"agent_{number}.motion_seat"][:, 1].max() == 2
+    assert [event.target for event in recording.events if event.kind == "activity"] == [
+        "wave",
+        "stand",
+        "phone",
+        "stand",
+    ]
+    assert verify(recording).difference is None
+
+
+@pytest.mark.parametrize("app", ["social_nav", "rearrange"])
+def test_a_motion_of_a_file_is_performed_by_a_finger_and_a_key(tmp_path: Path, app: str) -> None:
+    from tests.play.server import Server
+
+    write_bvh(tmp_path / "dance.bvh")
+    plan: dict[str, Any] = {
+        "app": app,
+        "partner": "still" if app == "rearrange" else "heuristic_expert",
+        "scenes": "small:1",
+        "human": f"female_1+dance={tmp_path / 'dance.bvh'}",
+    }
+    game = LiveGame(EpisodeFactory(PlayPlan(out=str(tmp_path / "plan"), **plan)), 0)
+    player = Player(game)
+    player.play()
+    x, z = place_with_room(player).tolist()
+    game.abort()
+    with Server(tmp_path / "out", **plan) as server:
+        said = play("acts", f"{server.links[0]}@{x},{z}", tmp_path)
+    assert said["layout"] == []
+    assert said["buttons"][-3:] == ["Wave", "Phone", "dance"]
+    assert said["hint"].strip().endswith("1 dance")
+    assert "perform “dance”, or end it" in said["help"]
+    recording = read_mcap(next((tmp_path / "out").glob("*.mcap")))
+    begun = [event for event in recording.events if "dance" in event.target and event.kind in ("activity", "performs")]
+    assert len(begun) == 2
     assert verify(recording).difference is None
 
 
@@ -223,8 +260,9 @@ def test_where_there_is_nothing_to_take_no_key_for_it_is_named(tmp_path: Path) -
         said = play("hands", server.links[0])
     assert said["toasts"].pop("c") in ("", "There is no free seat near by that fits.")
     assert said["toasts"] == dict.fromkeys("qgf", "There is nothing to take here.")
-    assert said["keys"] == said["mouse"] == ""
-    assert "put" not in said["help"]
+    assert said["keys"] == said["mouse"]
+    assert said["keys"].strip().endswith("X Wave · P Phone")
+    assert "drop" not in said["help"]
 
 
 def test_who_plays_a_robot_is_told_of_no_key_for_what_it_cannot_do(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Players who sit and lie down in tasks without skills: scripted participants send what the page sends."""
+"""Players in tasks without skills who sit, lie down and make gestures: scripted participants send what the page sends."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import h3data
+from h3data.bodies import JOINT_INDEX
 from h3data.errors import InputError
 from h3data.recording import Recording, read_mcap
 from h3data.replay.posed_recording import PosedRecording
@@ -17,7 +18,7 @@ from h3data_pipelines.validation.recordings import validate_recording
 from h3data_play.drivers import OFFER_STEPS, SittingDriver
 from h3data_play.live import LiveGame
 from h3data_play.plan import GameOrder
-from h3data_play.wire import LIES, SEATED, SITS
+from h3data_play.wire import GESTURES, LIES, SEATED, SITS
 from sim_kinematic.agents.skills import sentence
 from sim_kinematic.policies.policy import External, PoseAction
 from sim_kinematic.tasks.resume import verify
@@ -127,6 +128,60 @@ def test_reasons_are_sentences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(driver.seats, "nearest", lambda *_, **__: None)
     assert player.send(k="sit", lies=True) == sentence("no_seat")
     player.game.close()
+
+
+@pytest.mark.parametrize("app", ["social_nav", "crowd"])
+def test_gestures_are_shown_as_they_are_recorded(tmp_path: Path, app: str) -> None:
+    player = Player(begun(tmp_path, app=app, scenes="small:1"))
+    driver, packer, shown = driver_of(player), player.game.packer, list[np.ndarray]()
+    pose = packer._pose
+
+    def noted(k: int, body: Any, base: np.ndarray, columns: Any) -> tuple[np.ndarray, np.ndarray]:
+        pelvis, quats = pose(k, body, base, columns)
+        if k == player.number:
+            shown.append(body.joint_matrices_free(pelvis[None], quats[None])[0])
+        return pelvis, quats
+
+    packer._pose = noted  # type: ignore[method-assign]
+    player.play()
+    assert driver.offers & GESTURES
+    player.send(k="gesture", name="wave")
+    player.play(130)
+    player.send(k="gesture", name="phone")
+    player.play(40)
+    player.send(k="move", f=0.5, t=0.1)
+    player.play(40)
+    player.send(k="gesture", name="phone")
+    player.play(40)
+    player.send(k="gesture", name="wave")
+    player.play(10)
+    player.send(k="gesture", name="phone")
+    player.play(30)
+    recording = finished(player, tmp_path)
+    told = [event.target for event in recording.events if event.kind == "activity" and event.agent == player.number]
+    assert told == ["wave", "stand", "phone", "stand", "wave", "phone"]
+    posed = PosedRecording(recording).joint_matrices(player.number, np.arange(len(recording)))
+    hand = posed[:, JOINT_INDEX["right_wrist"], 1, 3]
+    assert hand[30:60].min() > hand[0] + 0.4
+    assert hand[160:165].min() > hand[0] + 0.15
+    assert abs(hand[125] - hand[0]) < 0.05
+    # from one gesture straight into another the replay lowers the hand first, which nobody could know live
+    steps = [k for k in range(len(recording)) if not 251 <= k < 265]
+    assert np.abs(np.stack(shown)[steps] - posed[steps])[:, :, :3, 3].max() < 0.002
+
+
+def test_who_sits_gets_up_before_a_gesture(tmp_path: Path) -> None:
+    player = Player(begun(tmp_path, app="social_nav", scenes="small:1"))
+    walked_to_a_seat(player)
+    player.send(k="gesture", name="phone")
+    player.play(30)
+    assert player.send(k="sit", lies=False) == ""
+    played_until(player, 1.0)
+    assert player.send(k="gesture", name="wave") == "Get up first."
+    assert driver_of(player).doing is None
+    recording = finished(player, tmp_path)
+    put_away = next(event.step for event in recording.events if (event.kind, event.target) == ("activity", "stand"))
+    assert recording.columns[f"agent_{player.number}.motion_seat"][: put_away + 1, 1].max() < 0.1
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from h3data.scene import FreeSpace
 from h3data_exporters.gltf_animation import write_gltf_animation
 from h3data_exporters.posing import posed_parts
 from h3data_play.app import App
-from h3data_play.drivers import driving_base
+from h3data_play.drivers import acts_of, driving_base
 from h3data_play.messages import PERIOD_S
 from h3data_play.plan import VERSION
 from h3data_play.wire import BODY_JOINTS
@@ -97,7 +97,7 @@ def manifest(session: Session, app: App, sdf: dict[str, Any]) -> dict[str, Any]:
         if isinstance(member.body, Robot):
             agent |= robot_rig(member.body)
         else:
-            agent["bones"] = list(member.body.joint_names[: BODY_JOINTS + 1])
+            agent |= {"bones": list(member.body.joint_names[: BODY_JOINTS + 1]), "acts": list(acts_of(session, k))}
         agents.append(agent)
     return {
         "version": VERSION,

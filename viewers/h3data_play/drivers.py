@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -19,6 +20,7 @@ from h3data.bodies.people.reach import hand_points
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, heading_from_quat, quat_from_matrix, wrap_angle
+from h3data.replay.posed_recording import RAMP_S
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.seats import seats_of
 from h3data_play.guide import FLOOR_SNAP_M, Guide
@@ -35,6 +37,7 @@ from h3data_play.messages import (
     Leave,
     Move,
     Open,
+    Perform,
     Pick,
     Place,
     Remark,
@@ -50,7 +53,7 @@ from sim_kinematic.agents.driven.commands import HandOver, HandTarget, PersonCom
 from sim_kinematic.agents.driven.commands import Place as PlaceSkill
 from sim_kinematic.agents.driven.commands import Sit as SitSkill
 from sim_kinematic.agents.driven.person import DrivenPerson
-from sim_kinematic.agents.skills import Action, Message, sentence
+from sim_kinematic.agents.skills import CHORE, CHORES, Action, Message, sentence
 from sim_kinematic.crowd.errands import Motion
 from sim_kinematic.crowd.seating import APART_M, LIES_APART_M, SeatPlace, Seats, leave, remain
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
@@ -66,16 +69,22 @@ MOST_UNSAID = 5
 GOAL_M = 0.02
 """Distance from an object's goal within which a chosen place means the goal [m]."""
 
+PHONE = "phone"
+"""Name of the gesture and of the chore of looking at a phone."""
 WAVES = 3
 """Number of strokes of a waving hand."""
+LASTS_S = {"wave": WAVES * GESTURES["wave"].seconds, PHONE: math.inf}
+"""Duration of each gesture of a player [s]; one without an end lasts until the player ends it."""
+FADE_STEPS = round(RAMP_S / STEP_S)
+"""Number of steps in which the hands leave a gesture."""
+SETTLE_STEPS = 20
+"""Number of steps in which the feet of somebody who stops come to stand."""
 OFFER_STEPS = 15
 """Number of steps between two searches for seats and things that the player could use."""
 AHEAD_M = 5.0
 """Distance within which one seat after the other is searched for room, one in a step, before the player comes near [m]."""
 ARRIVED_M = 0.1
 """Distance from the place before a seat within which a person begins to sit down [m]."""
-PHONE = "phone"
-"""Name of the gesture and of the chore of looking at a phone."""
 
 
 class Driver:
@@ -174,11 +183,31 @@ class Driver:
         """Return the chores that are possible now, each with its ``name`` and the kind of the ``thing``."""
         return []
 
+    @property
+    def activity(self) -> tuple[str, float, float] | None:
+        """Return the activity that the columns do not show: its name, and the times since its start and to its end [s]."""
+        return None
+
     def can_place(self, point: Any) -> str:
         """Return the reason why the held object could not be placed at a point now; empty if it could."""
         return "There is nothing to place here."
 
     # --- the body -----------------------------------------------------------------------------------------------------
+    @property
+    def acts(self) -> dict[str, Any]:
+        """Captured motions of the person by name."""
+        return acts_of(self.session, self.number)
+
+    def act(self, name: str) -> Any:
+        """Return a captured motion.
+
+        Raises:
+            InputError: the person has no motion of this name.
+        """
+        if name not in self.acts:
+            raise InputError(f"There is no motion {name!r} of this person.", code="H3-PLAY-030")
+        return self.acts[name]
+
     @property
     def place(self) -> tuple[Array, float]:
         """Return the position (x, z) [m] and the heading [rad] of the agent."""
@@ -234,8 +263,32 @@ class SeatSearch:
             self._place = place
 
 
+@dataclass
+class Doing:
+    """Gesture or motion of a player in a task without skills, which recordings and states show by its name."""
+
+    name: str
+    left: float
+    """Number of steps until it ends, infinite for one that a player ends."""
+    fades: int = FADE_STEPS
+    """Number of steps in which the body goes back to standing."""
+    waits: int = 0
+    """Number of steps until the feet of somebody who has walked stand."""
+    steps: int = 0
+    """Number of steps so far."""
+
+    def fade(self) -> None:
+        """End as soon as the body stands again."""
+        self.left = min(self.left, self.fades)
+
+    def go_on(self) -> bool:
+        """Count one step more, and return whether it still lasts."""
+        self.steps, self.left = self.steps + 1, self.left - 1
+        return self.left >= 0
+
+
 class SittingDriver(Driver):
-    """Driver of a person in tasks without skills, who can also sit and lie down."""
+    """Driver of a person in tasks without skills, who also sits and lies down, makes gestures, and plays captured motions."""
 
     def __init__(self, session: Session, number: int) -> None:
         super().__init__(session, number)
@@ -252,9 +305,13 @@ class SittingDriver(Driver):
         """Next place and posture of a person who waits because another agent is in the way."""
         self._gets_up, self._why = False, ""
         self._search = SeatSearch(episode.scene, self.seats)
+        self.doing: Doing | None = None
+        """Gesture or captured motion that the person shows."""
 
     def follow(self, message: Act) -> str:
-        """Carry out a message: sit or lie down, or get up, as in tasks with skills."""
+        """Carry out a message: sit, lie down, get up, make a gesture, or play a motion, as in tasks with skills."""
+        if isinstance(message, Gesture | Perform):
+            return self._do(message)
         if not isinstance(message, Sit):
             return super().follow(message)
         sits = self.seat is not None
@@ -262,13 +319,17 @@ class SittingDriver(Driver):
         place = None if sits else self.seats.nearest(self._state.xz[0], self.taken, lies=message.lies)
         if place is None:
             return "" if sits else sentence("no_seat")
+        if self.doing is not None:
+            self.doing.fade()
         why = self.go(place.before[:2], place.before.item(2))
         self._goal = None if why else place
         return why
 
     def interrupt(self) -> None:
-        """End the guided walk, and get up."""
+        """End the guided walk and a captured motion, and get up."""
         super().interrupt()
+        if self.doing is not None and self.doing.name in self.acts:
+            self.doing.fade()
         self._goal = None
         if self.seat is not None and not self._gets_up:
             self._motion, self._gets_up = leave(self._here, self._state.seat.item(0, 1), self.seat), True
@@ -278,13 +339,13 @@ class SittingDriver(Driver):
         """Return the command for the next step: the motion to or from a seat, or else a velocity."""
         if self.seat is None:
             velocity = self.velocity()
-            if self._goal is None or self.guide is not None:
-                return Velocity(*velocity)
+            if self._goal is None or self.guide is not None or self.doing is not None:
+                return self._walking(*velocity)
             self._arrive(self._goal)
         moved = self._waits or next(self._motion, None)
         if self.seat is None or moved is None:
             self.seat = None
-            return Velocity(*self.velocity())
+            return self._walking(*self.velocity())
         (place, share), own = moved, self._state
         discs = self.session.play.world.circles(self.number)[0]
         now, then = (np.hypot(*(discs[:, :2] - xz).T) for xz in (own.xz[0], place[:2]))
@@ -296,6 +357,43 @@ class SittingDriver(Driver):
         # headings are never wrapped
         heading = own.heading.item(0) + float(wrap_angle(place[2] - own.heading.item(0)))
         return PoseAction(place[:2], heading, (self.seat.seat.height_m, float(share)))
+
+    def _walking(self, forward: float, turn: float) -> Velocity:
+        """Return the command of a step in which the person stands or walks, and go on with what they show."""
+        own = self.doing
+        if own is not None and own.waits:
+            own.waits -= 1
+            return Velocity(0.0, 0.0)
+        if own is None or not own.go_on():
+            self.doing = None
+            return Velocity(forward, turn)
+        # a motion is played on the spot
+        return Velocity(0.0, 0.0, own.name) if own.name in self.acts else Velocity(forward, turn, own.name)
+
+    def _do(self, message: Gesture | Perform) -> str:
+        """Begin a gesture or a captured motion, or end it; return the reason if that is impossible."""
+        name, own = message.name, self.doing
+        if own is not None and (own.name == name or own.name in self.acts):
+            own.fade()
+            return ""
+        if self.seat is not None:
+            return "Get up first."
+        if isinstance(message, Gesture):
+            self.doing = Doing(name, LASTS_S[name] / STEP_S + FADE_STEPS)
+            return ""
+        act = self.act(name)
+        if not act.fits(self.floor, *self.place, self.session.play.world.circles(self.number)[0]):
+            return sentence("no_room")
+        moves = self.guide is not None or self.forward or self.turn or self._state.blend[0] > 0
+        self.guide = self._goal = None
+        self.doing = Doing(name, round(act.seconds / STEP_S), round(act.blend_s / STEP_S), SETTLE_STEPS if moves else 0)
+        return ""
+
+    @property
+    def activity(self) -> tuple[str, float, float] | None:
+        """Return the gesture or motion, with the times since its start and to its end [s]."""
+        own = self.doing
+        return None if own is None or not own.steps else (own.name, (own.steps - 1) * STEP_S, own.left * STEP_S)
 
     def _arrive(self, goal: SeatPlace) -> None:
         """Begin to sit down on a seat to which the guided walk has led, if it is still free."""
@@ -316,8 +414,9 @@ class SittingDriver(Driver):
 
     @property
     def busy(self) -> bool:
-        """Return whether the person is led, sits or gets up."""
-        return super().busy or self.seat is not None
+        """Return whether the person is led, plays a motion, sits or gets up."""
+        moves = self.doing is not None and self.doing.name in self.acts
+        return super().busy or self.seat is not None or moves
 
     @property
     def offers(self) -> int:
@@ -330,7 +429,7 @@ class SittingDriver(Driver):
         if self._search.is_due(len(self.session.recorder), xz):
             taken = self.taken
             self._search.ask(xz, taken, lambda lies: self.seats.nearest(xz, taken, lies=lies) is not None)
-        return self._search.flags
+        return CAN_GESTURE | self._search.flags
 
     @property
     def taken(self) -> list[Array]:
@@ -574,6 +673,13 @@ class PersonDriver(SkillDriver):
             message = Chore(PHONE)
         if isinstance(message, Chore):
             return self.do([ChoreSkill(message.name)])
+        if isinstance(message, Perform):
+            if self.body.person.plays is not None:
+                self.interrupt()
+                return ""
+            self.act(message.name)
+            number = list(self.body.person.body.acts).index(message.name)
+            return self.do([Action(CHORE, CHORES.index("perform"), command=(float(number),))])
         if isinstance(message, Gesture):
             if self.hands_full:
                 return sentence("hand_full")
@@ -591,7 +697,7 @@ class PersonDriver(SkillDriver):
             self.gestured += 1
             right = right or self.reach_of(seconds)
             head = head or (0.0, float(np.radians(gesture.head_deg)))
-            if self.gesture == "wave" and seconds >= WAVES * gesture.seconds:
+            if seconds >= LASTS_S[self.gesture]:
                 self.gesture = ""
         return PersonCommand(forward, turn, self.hands.get("left"), right, head)
 
@@ -688,6 +794,16 @@ class RobotDriver(SkillDriver):
     def base(self) -> BaseSpec:
         """Discs and limits of the robot's base, which also cover the object in hand."""
         return self.session.play.team.actors[self.number].base  # type: ignore[attr-defined]
+
+
+def acts_of(session: Session, number: int) -> dict[str, Any]:
+    """Return the captured motions of an agent by name, without those that have the name of a gesture."""
+    actors: Any = getattr(session.play.team, "actors", None)
+    # with skills, the hands for chores also play motions
+    if actors is not None and getattr(actors[number], "chores", None) is None:
+        return {}
+    acts = getattr(session.episode.roster[number].body, "acts", {})
+    return {name: act for name, act in acts.items() if name not in GESTURES}
 
 
 def driving_base(session: Session, number: int) -> BaseSpec:

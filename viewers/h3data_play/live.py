@@ -121,7 +121,8 @@ class EpisodeFactory:
         rules = {name: tuple(value) if isinstance(value, list) else value for name, value in plan.rules.items()}
         self.spec = with_options(self.task.Spec(), **{**self.app.rules, **rules})
         self.roster = plan.roster(tuple(self.task.agents))
-        human = HUMAN_BODY if plan.motion is None else f"{HUMAN_BODY}+{plan.motion}"
+        body = plan.human or HUMAN_BODY
+        human = body if plan.motion is None else f"{body}+{plan.motion}"
         self.source = EpisodeSource(self.task, plan.scenes, spec=self.spec, agents=self.roster, human=human)
         self.numbers = self._numbers()
         """Agent of each player, in the order of `PlayPlan.players`."""
@@ -390,7 +391,8 @@ class LiveGame:
         sentences = {number: driver.after(result) for number, driver in self.drivers.items()}
         self.ended = self.app.ended = self.app.step(result) or result.ended or self._stopped
         self.columns = session.recorder.latest_columns()
-        self.packed = self.packer.pack(self.columns, self.carried)
+        activities = {number: shown for number, driver in self.drivers.items() if (shown := driver.activity)}
+        self.packed = self.packer.pack(self.columns, self.carried, activities)
         return {number: text for number, text in sentences.items() if text}
 
     def state(self, number: int, clock_ms: float, *, whole: bool) -> bytes:

@@ -111,6 +111,12 @@ class Gesture(Message, frozen=True, tag="gesture"):
     name: Literal["wave", "phone"]
 
 
+class Perform(Message, frozen=True, tag="perform"):
+    """Message to play the captured motion of this name once, or to end it early."""
+
+    name: Name
+
+
 class Chore(Message, frozen=True, tag="chore"):
     """Message to handle a thing that the person brought along, such as to take it out of the fridge."""
 
@@ -202,6 +208,7 @@ Act = (
     | Close
     | Sit
     | Gesture
+    | Perform
     | Chore
     | Use
     | Bring

@@ -34,6 +34,8 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     """Folder to which a path of weights in ``partner`` is relative. Recordings contain the relative path."""
     motion: str | None = None
     """Motion file with the gait of people; None for the default gait."""
+    human: str = ""
+    """Body of people, with motions that they perform (`h3data.bodies.load_humanoid`); empty for the default body."""
     rules: dict[str, Any] = {}
     """Rules of the task that replace those of the app."""
     names: bool = False

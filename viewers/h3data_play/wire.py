@@ -27,12 +27,14 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.gestures import lead_hands
+from h3data.bodies.people.gestures import NAMES as GESTURE_NAMES
+from h3data.bodies.people.gestures import add_gestures, lead_hands
 from h3data.bodies.people.planted_gait import PlantedWalk, drawn_in
 from h3data.bodies.people.sitting import take_seats
 from h3data.geometry import Array, heading_from_quat, pose_multiply
 from h3data.recording import RecordingHeader
 from h3data.recording.records import JOINTS
+from h3data.replay.posed_recording import gesture_rows
 from h3data.scene import Scene
 
 STATE, PONG = 1, 2
@@ -108,6 +110,7 @@ class StatePacker:
     scene: Scene | None = None
     """Home, so that feet stand on the treads of stairs, and legs keep clear of walls and furniture."""
     _walks: dict[int, PlantedWalk] = field(default_factory=dict)
+    _activities: Mapping[int, tuple[str, float, float]] = field(default_factory=dict)
     _objects: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _OBJECT))
     _joints: NDArray[Any] = field(default_factory=lambda: np.zeros(0, _JOINT))
 
@@ -115,9 +118,21 @@ class StatePacker:
         moving = sorted((b.moving, k) for k, b in enumerate(self.header.bodies) if b.moving >= 0)
         self._number = {body: number for number, body in moving}
 
-    def pack(self, columns: Columns, carried: Mapping[int, int] | None = None) -> PackedStep:
-        """Pack the last row of ``columns``; other things are ``carried``: number of the thing and of the agent."""
+    def pack(
+        self,
+        columns: Columns,
+        carried: Mapping[int, int] | None = None,
+        activities: Mapping[int, tuple[str, float, float]] | None = None,
+    ) -> PackedStep:
+        """Pack the last row of ``columns``.
+
+        Args:
+            columns: Columns of the recording.
+            carried: Number of the agent that carries a thing beyond the columns, by number of the thing.
+            activities: Activity of an agent beyond the columns (`h3data_play.drivers.Driver.activity`), by its number.
+        """
         parts, holders = [], dict(carried or {})
+        self._activities = activities or {}
         for k, body in enumerate(self.bodies):
             agent = f"agent_{k}."
             base = columns[agent + "base_pose"][-1].astype(np.float64)
@@ -166,6 +181,13 @@ class StatePacker:
             draw_in(quats[None], columns[agent + "motion_arms"][-1:], shoulders_forward=True)
         if agent + "motion_seat" in columns:
             take_seats(body, quats[None], pelvis[None], columns[agent + "motion_seat"][-1:])
+        if k in self._activities:
+            name, seconds, left = self._activities[k]
+            since = np.array([seconds])
+            if name in GESTURE_NAMES:
+                add_gestures(body, quats[None], pelvis[None], gesture_rows(name, k, since, left))
+            else:
+                body.acts[name].perform(quats[None], pelvis[None], since, np.inf, left)
         if agent + "motion_hands" in columns:
             lead_hands(body, quats[None], pelvis[None], columns[agent + "motion_hands"][-1:])
         return pose_multiply(base, np.concatenate([pelvis, quats[0]])), quats[1:]

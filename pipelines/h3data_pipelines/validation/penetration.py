@@ -1,10 +1,14 @@
 """Depths by which bodies of a recording penetrate the home, by FCL for all parts of agents and held things.
 
+Doors and drawers are where they are in each step, and things that other people carry, such as trays, count like the
+home while they move.
+
 The simulation keeps the base of a robot and the path of a person out of walls and furniture, but does not check arms
 and feet. This module checks them afterwards.
 
 Some contact is intended. While an agent picks or places, its hand, the forearm of a person and the held thing may be
 inside the furniture on or in which the object lies or will lie, because a thing on a shelf is taken from inside it. The
+hand and forearm of an agent that opens or closes a door or drawer, or takes something behind it, may be in it. The
 hand of a person who knocks may be inside the surface, because its capsule is thicker than the knuckles
 (`benchmarks.activities` measures this). All other contact counts, such as the same hand in the wall next to the shelf,
 an upper arm in the shelf, or contact of the object while it is carried.
@@ -16,18 +20,21 @@ is broad, so that they reach deeper into the surface than the skin does (`benchm
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import InputError
-from h3data.geometry import Array, pose_to_matrix
-from h3data.recording import Recording
+from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
+from h3data.recording import Body, Recording
+from h3data.recording.records import JOINTS
 from h3data.replay import Replay
-from h3data.scene import Scene, Shape
-from h3data.scene.records import Capsule, instance_matrix
+from h3data.scene import Shape
+from h3data.scene.articulation import joints_of
+from h3data.scene.records import Box, Capsule, Instance, instance_matrix
 from h3data.scene.shape_bounds import shape_bounds
 from h3data_pipelines.validation.recordings import Finding
 from sim_kinematic.agents.robots.arm_clearance import arm_links
@@ -39,8 +46,10 @@ CORE_M = 1e-3
 """Radius of the thin core of a capsule, from which depth is measured [m]."""
 CHORE_EVENTS = ("activity", "takes", "puts", "walks_to")
 """Kinds of events of people who do chores (`sim_kinematic.crowd.errands.HandWork`)."""
-REACHING = ("pick", "place", "drop")
-"""Names of skills in which a hand approaches the surface on which an object lies."""
+REACHING, TURNING = ("pick", "place", "drop"), ("open", "close")
+"""Names of skills in which a hand approaches the surface on which an object lies, or leads a door or drawer."""
+MOVES_M = 1e-4
+"""Distance from step to step from which on a thing counts as carried [m]."""
 HELD = "held object"
 """Name of the part that represents everything that an agent carries."""
 
@@ -65,7 +74,10 @@ class Penetration(NamedTuple):
     the shortest displacement along a world axis that ends the contact.
     """
     thing: NDArray[np.object_]
-    """Name of the instance that each part enters most deeply, empty for none, [T, P]."""
+    """Name of the instance that each part enters most deeply, or of a thing that another agent carries; empty for none,
+    [T, P]."""
+    kind: NDArray[np.object_]
+    """Kind of this thing: ``home``, ``door`` (also a drawer, if it ever moves) or ``carried``; empty for none, [T, P]."""
     intended: NDArray[np.bool_]
     """Flags of contacts that the agent intends, bool [T, P]."""
 
@@ -75,8 +87,10 @@ class Penetration(NamedTuple):
         return np.where(self.intended, 0.0, self.depth_m)
 
 
-def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
+def penetrations(recording: Recording, *, every: int = 1, moved: bool = True) -> list[Penetration]:
     """Measure the penetration of all agents with built-in bodies, at every n-th step.
+
+    Without ``moved``, doors and drawers that ever move, and things that are carried, are left out.
 
     A robot may stand on things on the floor that are up to `FLOOR_M` high. People have no such allowance, but floors
     have no collision shapes.
@@ -92,7 +106,7 @@ def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
         )
     if every < 1:
         raise InputError(f"Expected every so many-th step, at least 1, got {every}.", code="H3-SIM-012")
-    steps, scenery = np.arange(0, len(recording), every), _Scenery(replay.scene)
+    steps, scenery = np.arange(0, len(recording), every), _Scenery(replay, moved=moved)
     return [_of_agent(replay, k, steps, scenery) for k, agent in enumerate(recording.agents) if agent.model]
 
 
@@ -144,6 +158,10 @@ def _supports(recording: Recording, agent: int, steps: NDArray[np.intp], scenery
         for span in recording.skills
         if span.agent == agent and span.name in REACHING
     ]
+    for span in recording.skills:
+        if span.agent == agent and span.name in TURNING:
+            for row in np.flatnonzero((steps >= span.start_step) & (steps <= span.end_step)):
+                found[row] = found[row] | {span.target}
     # a chore lasts from the activity to the next way, and what is taken or put down is told in between
     told = [event for event in recording.events if event.agent == agent and event.kind in CHORE_EVENTS]
     for k, event in enumerate(told):
@@ -161,7 +179,7 @@ def _supports(recording: Recording, agent: int, steps: NDArray[np.intp], scenery
         point = recording.columns["object_pose"][lies_at, moving[target], :3].astype(np.float64)
         things = frozenset(scenery.supports(point))
         for row in np.flatnonzero((steps >= start) & (steps <= end)):
-            found[row] = things
+            found[row] = found[row] | things
     return found
 
 
@@ -184,14 +202,17 @@ def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Sc
         reaching = np.array([name.endswith(("forearm", "hand")) for name in parts])
     shapes = np.array(shape_frames(body, frames), np.float64)
     shapes[..., 1, 3] += lift_m
-    depth, thing = scenery.depths(body_shapes(body), shapes)
+    own = replay.recording.agents[number].name
+    depth, thing = scenery.depths(body_shapes(body), shapes, steps, own)
     depth, thing = _deepest(depth, thing, of_part, len(parts))
     held_depth, held_thing = _held(replay, number, steps, scenery)
     depth, thing = np.column_stack([depth, held_depth]), np.column_stack([thing, held_thing])
     reaching, intended = np.append(reaching, True), np.zeros(depth.shape, np.bool_)
     for row, things in enumerate(_supports(replay.recording, number, steps, scenery)):
         if things:
-            intended[row] = reaching & np.isin(thing[row], list(things))
+            # a door counts like its furniture: the hand leads it, or passes it where it reaches behind it
+            meant = [name in things or name.partition("/")[0] in things for name in thing[row]]
+            intended[row] = reaching & np.array(meant, np.bool_)
     seat = replay.recording.columns.get(f"agent_{number}.motion_seat")
     beds = [event for event in replay.recording.events if event.agent == number and event.kind == "sits_down"]
     if seat is not None and beds:
@@ -206,6 +227,7 @@ def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Sc
         steps=steps,
         depth_m=depth,
         thing=thing,
+        kind=scenery.kinds(thing, steps),
         intended=intended,
     )
 
@@ -239,56 +261,153 @@ def _held(
             continue
         poses = pose_to_matrix(recording.columns["object_pose"][steps[rows], body.moving].astype(np.float64))
         frames = np.tile(poses[:, None], (1, len(shapes), 1, 1)).astype(np.float64)
-        of_shapes, where = scenery.depths(shapes, frames)
+        of_shapes, where = scenery.depths(shapes, frames, steps[rows], recording.agents[number].name)
         best, names = _deepest(of_shapes, where, np.zeros(len(shapes), np.intp), 1)
         depth[rows], thing[rows] = best[:, 0], names[:, 0]
     return depth, thing
 
 
 class _Scenery:
-    """The static things of a scene, and how deep shapes are in them."""
+    """Things of a home in each step of a recording, and depths of shapes in them."""
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene = FclScene(scene)
-        self._bounds = [  # in the order of the objects of `FclScene`
+    def __init__(self, replay: Replay, *, moved: bool) -> None:
+        scene, recording = replay.scene, replay.recording
+        assert scene is not None
+        self._all, self._steps = FclScene(scene), len(recording)
+        joints, positions = joints_of(scene), recording.columns.get(JOINTS, np.zeros((1, len(joints_of(scene)))))
+        turned = np.flatnonzero((positions != joints.rest.astype(positions.dtype)).any(0)) if len(joints) else []
+        doors = [each for each in scene.static_instances if joints.owner.get(each.name, -1) in turned]
+        names = {each.name for each in doors}
+        still = tuple(each for each in scene.instances if each.name not in names)
+        self._scene = FclScene(replace(scene, instances=still, articulations=())) if doors else self._all
+        # in the order of the objects of `FclScene`
+        self._bounds = [
             shape_bounds(shape, instance_matrix(instance))
-            for instance in scene.static_instances
+            for instance in still
+            if instance.motion == "static"
             for shape in scene.assets[instance.asset].shapes
         ]
+        self._moved: list[_Moved] = []
+        """Things that move."""
+        if not moved:
+            return
+        self._moved = [
+            *(self._door(replay, door, scene.assets[door.asset].shapes, joints.owner[door.name]) for door in doors),
+            *(_Moved.carried(recording, body) for body in _brought(recording)),
+        ]
+
+    @staticmethod
+    def _door(replay: Replay, door: Instance, shapes: Sequence[Shape], joint: int) -> _Moved:
+        turns = replay.joint_motions(np.arange(len(replay.recording)))[:, joint]
+        frames, scale = turns @ pose_to_matrix(np.asarray(door.pose, np.float64)), tuple(door.scale.tolist())
+        # where it is as the home has it, a door is a part of the home
+        return _Moved(door.name, "door", shapes, frames, scale, (turns != np.eye(4)).any((1, 2)))
+
+    def kinds(self, thing: NDArray[np.object_], steps: NDArray[np.intp]) -> NDArray[np.object_]:
+        """Return the kinds [T, P] of things, given their names [T, P] at steps [T]."""
+        out = np.where(thing == "", "", "home").astype(object)
+        for moved in self._moved:
+            out[(thing == moved.name) & moved.away[steps, None]] = moved.kind
+        return out
 
     def depths(
-        self, shapes: Sequence[Shape], frames: NDArray[np.float64]
+        self, shapes: Sequence[Shape], frames: NDArray[np.float64], steps: NDArray[np.intp], agent: str
     ) -> tuple[NDArray[np.float64], NDArray[np.object_]]:
-        """Return depths [T, S] [m] of shapes in frames [T, S, 4, 4], and the names [T, S] of the deepest things."""
+        """Return depths [T, S] [m] of an agent's shapes in frames [T, S, 4, 4] at steps [T], and the deepest things' names."""
         depth, thing = np.zeros(frames.shape[:2]), np.full(frames.shape[:2], "", object)
         moving, cores = MovingShapes(shapes), MovingShapes([_core(shape) for shape in shapes])
-        for t, pose in enumerate(frames):
+        others = [moved for moved in self._moved if not moved.name.startswith(f"{agent}_")]
+        for t, (step, pose) in enumerate(zip(steps.tolist(), frames, strict=True)):
             moving.set_transforms(pose)
-            deepest: dict[tuple[int, int], float] = {}
-            for contact in contacts(self._scene, moving):  # deepest first
-                deepest.setdefault((contact.index_a, contact.index_b), contact.depth_m)
-            if deepest:
-                cores.set_transforms(pose)
-            for (a, b), deep in deepest.items():
-                gap = self._gap(a, cores, b) if isinstance(shapes[b], Capsule) else 0.0
-                if gap > 0:
-                    deep = shapes[b].radius - CORE_M - gap  # pyright: ignore[reportAttributeAccessIssue]
-                else:
-                    deep = min(deep, _way_out(self._bounds[a], shape_bounds(shapes[b], pose[b])))
-                if deep > depth[t, b]:
-                    depth[t, b], thing[t, b] = deep, self._scene.names[a]
+            low, high = _bounds_of(shapes, pose)
+            near = [moved for moved in others if moved.is_near(step, low, high)]
+            for names, there, bounds in [
+                (self._scene.names, self._scene, self._bounds),
+                *((moved.names, moved.at(step), moved.bounds(step)) for moved in near),
+            ]:
+                deepest: dict[tuple[int, int], float] = {}
+                for contact in contacts(there, moving):  # deepest first
+                    deepest.setdefault((contact.index_a, contact.index_b), contact.depth_m)
+                if deepest:
+                    cores.set_transforms(pose)
+                for (a, b), deep in deepest.items():
+                    gap = _gap(there.objects[a], cores, b) if isinstance(shapes[b], Capsule) else 0.0
+                    if gap > 0:
+                        deep = shapes[b].radius - CORE_M - gap  # pyright: ignore[reportAttributeAccessIssue]
+                    else:
+                        deep = min(deep, _way_out(bounds[a], shape_bounds(shapes[b], pose[b])))
+                    if deep > depth[t, b]:
+                        depth[t, b], thing[t, b] = deep, names[a]
         return depth, thing
 
     def supports(self, point: Array) -> set[str]:
         """Return names of the things on which something at a world point [3] lies."""
-        return supports(self._scene, point)
+        return supports(self._all, point)
 
-    def _gap(self, a: int, cores: MovingShapes, b: int) -> float:
-        """Return the distance [m] from thing ``a`` to the core of capsule ``b``, not above 0 where it is inside."""
-        import fcl
 
-        pair = self._scene.objects[a], cores.objects[b]
-        return float(fcl.distance(*pair, fcl.DistanceRequest(), fcl.DistanceResult()))
+class _Moved:
+    """Thing that moves along a recording, as convex shapes."""
+
+    def __init__(
+        self,
+        name: str,
+        kind: str,
+        shapes: Sequence[Shape],
+        frames: Array,
+        scale: Sequence[float],
+        away: NDArray[np.bool_],
+    ) -> None:
+        """Create a thing with shapes in frames [T, 4, 4], NaN where it is absent, and flags [T] of where it is moved."""
+        self.name, self.kind, self.names = name, kind, [name] * len(shapes)
+        self._shapes, self._frames, self._moving = tuple(shapes), frames, MovingShapes(shapes, scale)
+        self._scale, self.away = np.diag([*scale, 1.0]), away
+
+    @classmethod
+    def carried(cls, recording: Recording, body: Body) -> _Moved:
+        """Return a thing that a person brought along, a box that counts only while it moves."""
+        frames = pose_to_matrix(recording.columns["object_pose"][:, body.moving].astype(np.float64))
+        apart = np.abs(np.diff(frames[:, :3, 3], axis=0)).max(1, initial=0.0) > MOVES_M
+        moves = np.zeros(len(frames), np.bool_)
+        moves[1:] |= apart
+        moves[:-1] |= apart
+        frames[~moves] = np.nan
+        # the solid cube of these things has sides of 2 m before it is scaled
+        box = Box(pose=IDENTITY_POSE, half_extents=body.scale.astype(np.float64))
+        return cls(body.name, "carried", [box], frames, (1.0, 1.0, 1.0), moves)
+
+    def bounds(self, step: int) -> list[Array]:
+        """Return the bounds [2, 3] [m] of each shape in a step."""
+        return [shape_bounds(shape, self._frames[step] @ self._scale) for shape in self._shapes]
+
+    def is_near(self, step: int, low: Array, high: Array) -> bool:
+        """Return whether the thing may touch what is between two corners [3] [m]."""
+        if not np.isfinite(self._frames[step]).all():
+            return False
+        return any((box[0] <= high).all() and (box[1] >= low).all() for box in self.bounds(step))
+
+    def at(self, step: int) -> MovingShapes:
+        """Return the shapes where they are in a step."""
+        self._moving.set_transforms(np.broadcast_to(self._frames[step], (len(self._shapes), 4, 4)))
+        return self._moving
+
+
+def _bounds_of(shapes: Sequence[Shape], frames: Array) -> tuple[Array, Array]:
+    """Return the corners [3] [m] of a box around shapes in frames [S, 4, 4]."""
+    boxes = np.array([shape_bounds(shape, frame) for shape, frame in zip(shapes, frames, strict=True)])
+    return boxes[:, 0].min(0), boxes[:, 1].max(0)
+
+
+def _gap(thing: Any, cores: MovingShapes, b: int) -> float:
+    """Return the distance [m] from a thing to the core of capsule ``b``, not above 0 where it is inside."""
+    import fcl
+
+    return float(fcl.distance(thing, cores.objects[b], fcl.DistanceRequest(), fcl.DistanceResult()))
+
+
+def _brought(recording: Recording) -> list[Body]:
+    """Return the trays and cartons that people brought along, which are named after them."""
+    owners = tuple(f"{agent.name}_{thing}" for agent in recording.agents for thing in ("tray", "carton"))
+    return [body for body in recording.moving_bodies if body.name.startswith(owners)]
 
 
 def _core(shape: Shape) -> Shape:

@@ -56,6 +56,7 @@ class Play:
         h3data play rearrange --as robot --partner both
         h3data play social_nav --partner rollout_expert --episodes 3
         h3data play rearrange --as person,robot
+        h3data play social_nav --human female_1+dance=dance.bvh
         h3data play tutorial
         h3data play teleop --partner both
         h3data play my_app.py_module:MyApp --no-browser --port 8080
@@ -83,6 +84,9 @@ class Play:
     """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
     motion: Path | None = None
     """Motion file that sets how people walk, as for h3data generate."""
+    human: str = ""
+    """Body of people, as for h3data generate. Motions that follow it, as in female_1+dance=dance.bvh, can be performed by
+    players (h3data docs motion)."""
     names: bool = False
     """Show a name over the head of every other person and robot."""
     observe: ObserveOption = None
@@ -165,7 +169,12 @@ class Play:
             from h3data.bodies.names import JOIN, stored_name
 
             stored_name(f"{JOIN}{self.motion.resolve()}")  # refuses what cannot be played
+        if self.human:
+            from sim_kinematic.agents.roster import make_roster
+
+            make_roster("human", human=self.human)  # refuses what there is not
         return {
+            **({"human": self.human} if self.human else {}),
             **({} if self.motion is None else {"motion": str(self.motion.resolve())}),
             **({"names": True} if self.names else {}),
             "app": self.app,

@@ -2,7 +2,7 @@
 
 import { Vector3, WebGLRenderer } from "three";
 import {
-  busyHints, choreHints, deed, heldBy, hints, holderText, situation, thumbText, useKey, type Barriers, type Chore, type Seen, type Situation,
+  actKeys, busyHints, choreHints, deed, heldBy, hints, holderText, postureHints, situation, thumbText, useKey, type Barriers, type Chore, type Seen, type Situation,
 } from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
@@ -72,8 +72,8 @@ export class Game {
   private ended = false;
   /** Whether a person is played: only they sit down, drop things and hand them over. */
   private readonly person: boolean;
+  private readonly acts: string[];
   /** Whether there is anything for hands in this home. */
-  private readonly hands: boolean;
 
   private readonly life = new AbortController();
 
@@ -112,16 +112,17 @@ export class Game {
     new Stick(hud.ring, hud.knob, this.input);
     hud.on("button-leave", () => hud.askToLeave(() => this.net.send({ k: "leave" })), signal);
     hud.show("button-leave", agent !== undefined);
+    this.acts = agent?.acts ?? [];
+    hud.acts(this.acts, (number) => this.wish(`perform${number}`));
     for (const [button, wish] of BUTTONS) hud.on(button, () => this.wish(wish), signal);
     hud.on("button-talk", () => this.talk.toggle(), signal);
     if (agent) void this.offerHeadset(agent.drive);
     const robot = manifest.agents.some((other, k) => other.kind === "robot" && k !== manifest.me);
     this.person = agent?.kind === "human";
-    this.hands = !!agent && manifest.objects.length + manifest.joints.length > 0;
     const things = !!agent && manifest.objects.length > 0;
     const joints = !!agent && manifest.joints.length > 0;
     const chores = this.person && manifest.brought?.some(({ name }) => name.startsWith(`${agent.name}_`)) === true;
-    hud.offers({ things, joints, person: this.person, robot, places: things && manifest.spots.length > 0, talk: manifest.phrases.length > 0, chores });
+    hud.offers({ things, joints, person: this.person, acts: this.acts, robot, places: things && manifest.spots.length > 0, talk: manifest.phrases.length > 0, chores });
     this.setView(agent ? "third" : "above");
     addEventListener("resize", () => this.resize(), { signal });
     this.resize();
@@ -194,7 +195,9 @@ export class Game {
   }
 
   private doSomething(wish: Wish, now: Situation): void {
-    if (wish === "cancel") this.stopWalkingTo(true);
+    const act = /^perform(.)$/.exec(wish)?.[1];
+    if (act) this.perform(this.acts[Number(act) - 1]);
+    else if (wish === "cancel") this.stopWalkingTo(true);
     else if (wish === "do") this.deeds.open(now.held >= 0 ? now.held : now.next);
     else if (wish === "use") this.use(now);
     else if (wish === "drop" || wish === "give") this.letGo(wish, now);
@@ -207,10 +210,15 @@ export class Game {
   }
 
   private assume(wish: "sit" | "lie" | "wave" | "phone"): void {
-    const rests = wish === "sit" || wish === "lie";
-    if (!this.person || !(this.hands || rests)) this.hud.toast(say(wish === "sit" ? "no_sitting" : "no_posture"));
-    else if (rests) this.net.send({ k: "sit", lies: wish === "lie" });
+    if (!this.person) this.hud.toast(say(wish === "sit" ? "no_sitting" : "no_posture"));
+    else if (wish === "sit" || wish === "lie") this.net.send({ k: "sit", lies: wish === "lie" });
     else this.net.send({ k: "gesture", name: wish });
+  }
+
+  /** Performs a motion of a file, or ends it. */
+  private perform(name: string | undefined): void {
+    if (name) this.net.send({ k: "perform", name });
+    else this.hud.toast(say("no_posture"));
   }
 
   /** Takes or puts down a thing that the person brought along. */
@@ -401,7 +409,10 @@ export class Game {
     const use: [string, string][] =
       useful < 0 || !useKey(device) ? [] : [[useKey(device), say(`use_${this.deeds.uses[useful]}`, { thing: this.manifest.objects[useful]!.label })]];
     const can = [...hints(now, this.manifest, state, device, this.aim?.fits ?? null), ...choreHints(this.chores, device), ...use];
-    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busyHints(device) : can, device);
+    const rest = this.person ? postureHints(state.flags, device, this.acts) : [];
+    const busy = [...busyHints(device), ...(state.flags & FLAG.seated ? rest : [])];
+    const free = can.length ? [...can, ...(state.flags & FLAG.gestures && device === "keys" ? actKeys(this.acts) : [])] : rest;
+    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busy : free, device);
     this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
       const who = holderText(this.manifest, state.things[k]!.held);
       const item = { thing: k, name: this.manifest.objects[k]!.label, done: now.done[k]! };

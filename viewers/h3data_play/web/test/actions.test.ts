@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Manifest } from "../src/link/manifest.ts";
 import type { State } from "../src/link/wire.ts";
-import { busyHints, choreHints, deed, hints, situation, turnText, useKey, type Barriers, type Chore, type Seen, type Situation } from "../src/player/actions.ts";
+import { busyHints, choreHints, deed, hints, postureHints, situation, turnText, useKey, type Barriers, type Chore, type Seen, type Situation } from "../src/player/actions.ts";
 
 const DOOR = { name: "fridge/door", label: "fridge door", parent: -1, kind: 1, rest: 0, closed: 0, opened: 1.5, nodes: [] };
 const MANIFEST = {
@@ -53,6 +53,13 @@ test("who carries a tray is offered what can be done with it and nothing else", 
   assert.deepEqual(choreHints(chores, "keys"), [["K", "put the tray down"]]);
   assert.deepEqual(choreHints(chores, "touch"), [["Put down", "put the tray down"]]);
   assert.deepEqual(choreHints([{ name: "phone", thing: "phone" }], "mouse"), [["P", "put the phone away"]]);
+});
+
+test("keys of postures and gestures are named where they are possible", () => {
+  assert.deepEqual(postureHints(16 | 128, "keys", []), [["C", "Sit down"], ["X", "Wave"], ["P", "Phone"]]);
+  assert.deepEqual(postureHints(64, "mouse", ["dance"]), [["C", "Get up"]]);
+  assert.deepEqual(postureHints(16 | 32 | 128, "touch", ["dance"]), []);
+  assert.deepEqual(postureHints(128, "keys", ["dance", "stretch_arms"]).slice(2), [["1", "dance"], ["2", "stretch arms"]]);
 });
 
 test("what is shut in is not taken before it is open", () => {

@@ -23,6 +23,8 @@ export interface StagedAgent {
 
 export interface AgentInfo extends StagedAgent {
   drive: Driving;
+  /** Person: names of the motions of files that they can perform. */
+  acts?: string[];
 }
 
 export interface ThingInfo {

@@ -4,7 +4,7 @@ import { say } from "../words.ts";
 import type { Base } from "../motion/drive.ts";
 import { isOpen } from "../scene/joints.ts";
 import type { Manifest } from "../link/manifest.ts";
-import type { State } from "../link/wire.ts";
+import { FLAG, type State } from "../link/wire.ts";
 
 /** From here a thing is near enough to be offered; whether the hand reaches it, the server says. */
 export const NEAR_M = 1.1;
@@ -70,6 +70,22 @@ export function choreHints(chores: Chore[], device: string): [string, string][] 
     const key = chore.name === "phone" ? "P" : "K";
     return [device === "touch" ? choreText(chore) : key, say(`chore_${chore.name}_${chore.thing}`)];
   });
+}
+
+/** Keys of postures, gestures and motions (`acts`) that are possible now; fingers have buttons for them. */
+export function postureHints(flags: number, device: string, acts: string[]): [string, string][] {
+  if (device !== "keys" && device !== "mouse") return [];
+  const { sits, lies, seated, gestures } = FLAG;
+  const keys: [number, string, string][] = [
+    [seated, "C", "rise"], [sits, "C", "sit"], [lies, "L", "lie"], [gestures, "X", "wave"], [gestures, "P", "phone"],
+  ];
+  const own: [string, string][] = flags & gestures ? actKeys(acts) : [];
+  return [...keys.filter(([flag]) => flags & flag).map(([, key, name]): [string, string] => [key, say(`posture_${name}`)]), ...own];
+}
+
+/** Keys of the motions of files that a person can perform, each with its name. */
+export function actKeys(acts: string[]): [string, string][] {
+  return acts.slice(0, 9).map((name, k) => [String(k + 1), name.replaceAll("_", " ")]);
 }
 
 /** What one press does: puts down, opens or closes a door or drawer, takes. */

@@ -2,7 +2,7 @@
 
 import { clamp } from "../motion/sdf.ts";
 
-export type Wish = "act" | "goto" | "turn" | "drop" | "give" | "sit" | "lie" | "wave" | "phone" | "chore" | "view" | "help" | "map" | "sound" | "cancel" | "use" | "do" | "talk" | "finish";
+export type Wish = "act" | "goto" | "turn" | "drop" | "give" | "sit" | "lie" | "wave" | "phone" | "chore" | "view" | "help" | "map" | "sound" | "cancel" | "use" | "do" | "talk" | "finish" | `perform${number}`;
 
 export interface Listener {
   wish(wish: Wish): void;
@@ -125,7 +125,8 @@ export class Input {
     if (event.ctrlKey || event.metaKey || event.altKey || target.closest("input, textarea, select, dialog")) return;
     // Space and Enter press a button that has the focus
     if (event.code === "Space" && target.closest("button")) return;
-    const wish = WISHES[event.code];
+    const digit = /^Digit([1-9])$/.exec(event.code)?.[1];
+    const wish: Wish | undefined = digit ? `perform${Number(digit)}` : WISHES[event.code];
     if (wish || WALK[event.code]) this.device = "keys"; // Tab is for buttons, which a touch screen has, too
     if (WALK[event.code]) {
       if (!this.held.size) this.pressedAt = performance.now();

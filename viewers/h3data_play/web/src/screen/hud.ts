@@ -1,7 +1,7 @@
 /** What is said to the player: task, time, reasons, hints, covers. All of it is DOM, so that it can be read aloud and zoomed. */
 
 import { FLAG } from "../link/wire.ts";
-import { choreText, type Chore } from "../player/actions.ts";
+import { actKeys, choreText, type Chore } from "../player/actions.ts";
 import { fillIn, say } from "../words.ts";
 import { setText } from "./markers.ts";
 import { thingColor, thingLetter } from "./palette.ts";
@@ -22,6 +22,8 @@ interface Offers {
   joints: boolean;
   /** Whether the player is a person, not a robot. */
   person: boolean;
+  /** Names of the motions that the person can perform. */
+  acts: string[];
   robot: boolean;
   places: boolean;
   talk: boolean;
@@ -61,24 +63,24 @@ export class Hud {
   }
 
   /** What there is to do in this home. */
-  offers({ things, joints, person, robot, places, talk, chores }: Offers): void {
+  offers({ things, joints, person, acts, robot, places, talk, chores }: Offers): void {
     document.body.toggleAttribute("data-hands", things || joints);
-    const postures = (things || joints) && person;
     const there: Record<string, boolean> = {
       act: things, goto: things, turn: joints, drop: things && person, give: things && person && robot,
-      sit: person, lie: person, wave: postures, phone: postures, chore: chores, use: places, do: places, talk,
+      sit: person, lie: person, wave: person, phone: person, chore: chores, use: places, do: places, talk,
     };
-    const rows = KEYS.filter(([, name]) => there[name] ?? true);
+    const rows = KEYS.filter(([, name]) => there[name] ?? true).map(([keys, name]): [string[], string] => [keys, say(`help_${name}`)]);
+    const own = actKeys(acts).map(([digit, name]): [string[], string] => [[digit], say("help_perform", { name })]);
     $("keys").replaceChildren(
-      ...rows.flatMap(([keys, name]) => {
+      ...[...rows, ...own].flatMap(([keys, text]) => {
         const term = document.createElement("dt");
         term.append(...keys.map(key));
-        return [term, Object.assign(document.createElement("dd"), { textContent: say(`help_${name}`) })];
+        return [term, Object.assign(document.createElement("dd"), { textContent: text })];
       }),
     );
     const told = ["help_pointing", things && "help_things", things && person && "help_places", joints && "help_joints"];
     setText($("help-text"), told.filter((name) => name !== false).map((name) => say(name)).join(" "));
-    setText($("help-touch"), [say("help_stick"), things || joints ? say("help_thumbs") : "", postures ? say("help_postures") : person ? say("help_seats") : ""].join(" ").trim());
+    setText($("help-touch"), [say("help_stick"), things || joints ? say("help_thumbs") : "", person ? say("help_postures") : "", chores ? say("help_chores") : "", acts.length ? say("help_acts") : ""].filter(Boolean).join(" "));
   }
 
   on(button: string, press: () => void, signal: AbortSignal): void {
@@ -169,11 +171,23 @@ export class Hud {
     );
   }
 
+  /** Buttons for the motions that the person can perform. */
+  acts(names: string[], press: (number: number) => void): void {
+    $("acts").replaceChildren(
+      ...actKeys(names).map(([digit, name]) => {
+        const button = Object.assign(document.createElement("button"), { type: "button", textContent: name });
+        button.addEventListener("click", () => press(Number(digit)));
+        return button;
+      }),
+    );
+  }
+
   /** Buttons for postures and chores, for fingers: those that are possible now. */
   postures(flags: number, chores: Chore[]): void {
     const { sits, lies, seated, gestures } = FLAG;
     for (const [name, shown] of [["sit", sits | seated], ["lie", lies], ["wave", gestures], ["phone", gestures]] as const)
       this.show(`posture-${name}`, (flags & shown) !== 0);
+    this.show("acts", (flags & gestures) !== 0 && $("acts").childElementCount > 0);
     const chore = chores.find(({ name }) => name !== "phone");
     this.show("posture-chore", chore !== undefined);
     if (chore) setText($("posture-chore"), choreText(chore));

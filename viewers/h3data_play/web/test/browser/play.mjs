@@ -486,14 +486,24 @@ async function hands() {
 async function seats() {
   const [link, at] = url.split("@");
   const [x, z] = at.split(",").map(Number);
-  const player = await openPage(link, { width: 1280, height: 720, touch: true });
+  const player = await openPage(link, { width: 1280, height: 720, touch: true, full: !!pictures });
   await player.started();
   const flags = "probe.game.net.latest.flags";
   const text = (id) => player.ask(`document.getElementById('${id}').textContent`);
   const help = [await text("keys"), await text("help-touch")];
+  await player.ask("probe.game.input.device = 'keys'; 0");
+  await player.drawn(3);
+  const hint = await text("hint");
+  await player.shot(picture("hint"));
   await player.press("x");
-  await player.nap(300);
-  const wave = await text("toast");
+  await player.nap(1400);
+  await player.shot(picture("waves"));
+  await player.nap(3000);
+  await player.press("p");
+  await player.nap(1500);
+  await player.shot(picture("phone"));
+  await player.press("p");
+  await player.nap(1000);
   await player.ask(`probe.game.net.send({ k: "goto", p: [${x}, 0, ${z}] }); 0`);
   await player.nap(500);
   await player.idle();
@@ -513,7 +523,42 @@ async function seats() {
   await player.nap(4500);
   await player.drawn(3);
   await player.shot(picture("sits"));
-  return { help, wave, near, ...(await player.close()) };
+  return { help, hint, near, ...(await player.close()) };
+}
+
+/** Performs a motion of a file at `LINK@X,Z`: by a key, which ends it as well, and by a finger. */
+async function acts() {
+  const [link, at] = url.split("@");
+  const [x, z] = at.split(",").map(Number);
+  const player = await openPage(link, { width: 390, height: 844, touch: true, full: !!pictures });
+  await player.started();
+  const busy = (is) => player.until(`((probe.game.net.latest.flags & 8) !== 0) === ${is}`, "the motion to begin or end", 60_000);
+  const text = (id) => player.ask(`document.getElementById('${id}').textContent`);
+  await player.ask(`probe.game.net.send({ k: "goto", p: [${x}, 0, ${z}] }); 0`);
+  await player.nap(500);
+  await player.idle();
+  await player.drawn(4);
+  const buttons = await player.ask("[...document.querySelectorAll('#postures button')].filter((button) => button.offsetParent).map((button) => button.textContent)");
+  const layout = await player.ask(LAYOUT);
+  await player.shot(picture("offered"));
+  await player.page.tap("#acts button");
+  await busy(true);
+  await player.nap(1500);
+  await player.shot(picture("dances"));
+  await busy(false);
+  await player.ask("probe.game.input.device = 'keys'; 0");
+  await player.drawn(3);
+  const [hint, help] = [await text("hint"), await text("keys")];
+  await player.page.setViewportSize({ width: 1280, height: 720 });
+  await player.press("1");
+  await busy(true);
+  await player.nap(1200);
+  await player.shot(picture("keys"));
+  await player.press("1");
+  await busy(false);
+  await player.ask("probe.game.net.send({ k: 'leave' }); 0");
+  await player.until("!!probe.over", "the end of the episode");
+  return { buttons, layout, hint, help, ...(await player.close()) };
 }
 
 /** The tutorial: to the ring, by a turn to the thing, then by one key. */
@@ -801,6 +846,6 @@ const OVERLAPS = `(() => {
   return [...out, ...seen.flatMap(([a, one], k) => seen.slice(k + 1).flatMap(([b, two]) => (on(one, two) ? [[a, b]] : [])))];
 })()`;
 
-const SCENARIOS = { task, walk, names, click, reconnect, headset, headsetStays, together, sizes, layout, postures, seats, chores, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
+const SCENARIOS = { task, walk, names, click, reconnect, headset, headsetStays, together, sizes, layout, postures, seats, acts, chores, hands, tutorial, drawer, door, stairs, album, words, wordsAt };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
