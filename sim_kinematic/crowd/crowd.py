@@ -112,15 +112,14 @@ class Crowd:
         wary = self._reacts or any(role.group for role in roles or ())
         # with the smaller distances of version 6, people of social force touch, and people with routines
         self._forces = model == "social_force"
-        constants = CrowdSpec.of_version(
+        rules = spec or CrowdSpec.of_version(
             version,
             wary=wary,
             early=daily or (self._forces and not (wary and version > 8)),
             # five people who only talk would not all reach their circle by the rules for passages
             frees=self._forces and any(role.group.startswith("walk") for role in roles or ()),
         )
-        self._rules = (spec or constants).numbers
-        self._limits = (stride or StrideSpec()).limits
+        self._rules, self._limits = rules.numbers, (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))
         self._counts = np.zeros(people, np.int64)
         self._along, self._best = np.zeros(people), np.zeros((people, 2))
@@ -329,8 +328,7 @@ class Crowd:
         """End the stay of all people who have stopped on the path of people who are ``stuck``."""
         standing = np.flatnonzero((self._until > step) & np.isfinite(self._until))
         for m in stuck.tolist() if len(standing) else ():
-            way = self._ahead(m, WAY_M)
-            near = np.hypot(*(xz[standing, None] - way).transpose(2, 0, 1)).min(1) < PASSING_M
+            near = np.hypot(*(xz[standing, None] - self._ahead(m, WAY_M)).transpose(2, 0, 1)).min(1) < PASSING_M
             self._until[standing[near]] = step
 
     def _ahead(self, m: int, length_m: float) -> Array:
@@ -385,8 +383,7 @@ class Crowd:
         errands: list[Errand] = []
         for _ in range(ATTEMPTS):
             errand = self._guides[m](np.asarray(xz, np.float64), None, self._taken_from(m))
-            path = errand.path
-            if len(path) > 1 and (errand.seconds > 0 or np.hypot(*(path[-1] - xz)) >= ARRIVED_M):
+            if len(errand.path) > 1 and (errand.seconds > 0 or np.hypot(*(errand.path[-1] - xz)) >= ARRIVED_M):
                 errands.append(errand)
             if len(errands) == most:
                 break
@@ -394,8 +391,9 @@ class Crowd:
 
     def _taken_from(self, m: int) -> list[Array]:
         """Return places [2 or 3] where others sit or stay, or go to do so; those of seats from all crowds of the world."""
-        seats = [place.taken for who, place in self._taken.items() if who != (id(self), m)]
-        return seats + [errand.path[-1] for j, errand in enumerate(self._errands) if errand.seconds > 0 and j != m]
+        return [place.taken for who, place in self._taken.items() if who != (id(self), m)] + [
+            errand.path[-1] for j, errand in enumerate(self._errands) if errand.seconds > 0 and j != m
+        ]
 
     def _set_path(self, m: int, path: NDArray[np.float64]) -> None:
         """Give a person a path [K, 2] to walk from its beginning."""

@@ -87,8 +87,13 @@ class CrowdSpec:
         if wary or version < 3:
             near = 0.0 if version > 7 and not early else cls.company_m
             gain, guard = (0.0, cls.horizon_s) if version > 8 else (cls.company_gain, cls.guard_s)
-            frees &= version > 9 and not early
-            return cls(version=min(version, 4), company_m=near, company_gain=gain, guard_s=guard, frees=frees)
+            return cls(
+                version=min(version, 4),
+                company_m=near,
+                company_gain=gain,
+                guard_s=guard,
+                frees=frees and version > 9 and not early,
+            )
         kept = min(version, 5) if early else version
         quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=kept)
         sooner = replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1) if kept > 4 else quick
