@@ -145,8 +145,7 @@ def closed_area(free: FreeSpace, xz: Array) -> float:
     discs = [(*place, PASSING_M) for place in xz] + [(*centre, float(np.hypot(*(xz - centre).T).max()))]
     for px, pz, radius in discs:
         left &= (x[:, None] - px) ** 2 + (z[None] - pz) ** 2 >= radius**2
-    islands, _ = label(open_floor)
-    pieces, count = label(left)
+    (islands, _), (pieces, count) = label(open_floor), label(left)
     if not count:
         return float(open_floor.sum()) * free.cell_m**2
     # parts that nobody could reach before are not cut off by these people
@@ -170,8 +169,7 @@ def standing_circle(
         rng: Random number generator for the places that are compared.
         leaves_way: False for conversations of earlier versions, which may close a passage.
     """
-    radius = circle_radius(len(xz))
-    centres = free.sample(rng, CANDIDATES)
+    radius, centres = circle_radius(len(xz)), free.sample(rng, CANDIDATES)
     room = free.signed_distance(centres)
     far = sum(free.geodesic(np.broadcast_to(own, centres.shape), centres) for own in xz)
     far = np.where(np.isfinite(far), far, 1e6)
@@ -191,8 +189,7 @@ def standing_circle(
 
 def _circle_at(free: FreeSpace, xz: Array, centre: Array) -> Array:
     """Return the places [N, 2] on the circle around a centre, or inside it, for people who come from places [N, 2]."""
-    radius = circle_radius(len(xz))
-    angles = 2 * np.pi * np.arange(len(xz)) / len(xz)
+    radius, angles = circle_radius(len(xz)), 2 * np.pi * np.arange(len(xz)) / len(xz)
     begin = math.atan2(*(xz[0] - centre)[::-1]) if np.hypot(*(xz[0] - centre)) > 1e-6 else 0.0
     ring = centre + radius * np.stack([np.cos(begin + angles), np.sin(begin + angles)], 1)
     places, left = np.zeros_like(xz), list(range(len(ring)))

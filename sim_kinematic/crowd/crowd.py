@@ -36,7 +36,7 @@ AROUND_M, LEAVES_M, OFF_M, FAR_M, WAY_ROOM_M = (PASSING_M, 0.8), 1.6, 0.9, 4.0, 
 second of which is used if the first leaves no path; least distances of a place to back out to from everybody near, and
 from their paths; distance within which people count as near; length of these paths; and distance from the path of the first of
 their group that those keep who back out for them."""
-VERSION = 9
+VERSION = 10
 """Version of the rules by which crowds and people with routines decide, which recordings store. In version 1, that of
 recordings without a version, conversations may close a passage, groups pull together through walls, and people who stay
 somewhere stay there although others cannot get past. Up to version 2, people avoid others 2 s ahead, including those who
@@ -46,7 +46,8 @@ more slowly. Up to version 5, and still with `social_force` or routines, they al
 and slow down for people who move away. Up to version 6, people with routines hold out what they carry also beside walls, do
 chores through walls, and take longer before they sit down; version 7 is only that of people with routines. Up to version 7,
 members of a walking group keep as far from each other as from anybody, and they still do with routines. Up to version 8, they
-also do with `social_force`, whose forces act between them, and two people with chores may have things at one spot."""
+also do with `social_force`, whose forces act between them, and two people with chores may have things at one spot. Up to
+version 9, people of `social_force` among whom some walk in groups are held up before passages (`CrowdSpec.frees`)."""
 SEAT_M, SLOW_MPS, STEP_ROOM_M = 0.2, 0.35, 0.08
 """Conditions for sitting down: distance from the place before the seat [m], speed [m/s], and distance to others'
 outlines below which people wait [m]."""
@@ -110,11 +111,15 @@ class Crowd:
         self._reacts = any(role.reaction != "regular" for role in roles or ())
         wary = self._reacts or any(role.group for role in roles or ())
         # with the smaller distances of version 6, people of social force touch, and people with routines
-        constants = CrowdSpec.of_version(
-            version, wary=wary, early=daily or (model != "orca" and not (wary and version > 8))
+        self._forces = model == "social_force"
+        rules = spec or CrowdSpec.of_version(
+            version,
+            wary=wary,
+            early=daily or (self._forces and not (wary and version > 8)),
+            # five people who only talk would not all reach their circle by the rules for passages
+            frees=self._forces and any(role.group.startswith("walk") for role in roles or ()),
         )
-        self._forces, self._rules = model == "social_force", (spec or constants).numbers
-        self._limits = (stride or StrideSpec()).limits
+        self._rules, self._limits = rules.numbers, (stride or StrideSpec()).limits
         self._paths, self._lengths = np.zeros((people, 2, 2)), np.zeros((people, 2))
         self._counts = np.zeros(people, np.int64)
         self._along, self._best = np.zeros(people), np.zeros((people, 2))
@@ -323,8 +328,7 @@ class Crowd:
         """End the stay of all people who have stopped on the path of people who are ``stuck``."""
         standing = np.flatnonzero((self._until > step) & np.isfinite(self._until))
         for m in stuck.tolist() if len(standing) else ():
-            way = self._ahead(m, WAY_M)
-            near = np.hypot(*(xz[standing, None] - way).transpose(2, 0, 1)).min(1) < PASSING_M
+            near = np.hypot(*(xz[standing, None] - self._ahead(m, WAY_M)).transpose(2, 0, 1)).min(1) < PASSING_M
             self._until[standing[near]] = step
 
     def _ahead(self, m: int, length_m: float) -> Array:
@@ -379,8 +383,7 @@ class Crowd:
         errands: list[Errand] = []
         for _ in range(ATTEMPTS):
             errand = self._guides[m](np.asarray(xz, np.float64), None, self._taken_from(m))
-            path = errand.path
-            if len(path) > 1 and (errand.seconds > 0 or np.hypot(*(path[-1] - xz)) >= ARRIVED_M):
+            if len(errand.path) > 1 and (errand.seconds > 0 or np.hypot(*(errand.path[-1] - xz)) >= ARRIVED_M):
                 errands.append(errand)
             if len(errands) == most:
                 break
@@ -388,8 +391,9 @@ class Crowd:
 
     def _taken_from(self, m: int) -> list[Array]:
         """Return places [2 or 3] where others sit or stay, or go to do so; those of seats from all crowds of the world."""
-        seats = [place.taken for who, place in self._taken.items() if who != (id(self), m)]
-        return seats + [errand.path[-1] for j, errand in enumerate(self._errands) if errand.seconds > 0 and j != m]
+        return [place.taken for who, place in self._taken.items() if who != (id(self), m)] + [
+            errand.path[-1] for j, errand in enumerate(self._errands) if errand.seconds > 0 and j != m
+        ]
 
     def _set_path(self, m: int, path: NDArray[np.float64]) -> None:
         """Give a person a path [K, 2] to walk from its beginning."""

@@ -37,10 +37,10 @@ SEATED = 3.0
 BACK_M, START_M = 1.5, 0.1
 """Distance that people in a narrow place go back along their path to let others through, and distance from the start of
 the path within which they cannot go back [m]."""
-STRIDE_M, NEAR_END_M, GROUP_S = 0.2, 0.1, 0.5
+STRIDE_M, NEAR_END_M, GROUP_S, COMPANY_S = 0.2, 0.1, 0.5, 0.6
 """Distance by which feet and hands reach farther ahead and behind than sideways [m]; distance from the place of a person who
 stands within which they do not step back to it [m]; time in which forces of a group become velocities, the time constant of
-Moussaid et al. [s]."""
+Moussaid et al. [s]; time within which members of a group avoid a collision with each other by `CrowdSpec.frees` [s]."""
 
 
 @kernel(error_model="numpy")
@@ -309,7 +309,9 @@ def choose_velocity(
             gain = rules[24 if j < len(body) and company[m] >= 0 and company[j] == company[m] else 11]
             ax, az = ax + gain * fx, az + gain * fz
         push = rules[12] * math.exp(-max(clear - WALL_M, 0.0) / rules[13])
-        ax, az = ax + push * gx, az + push * gz
+        # paths lead past walls: before a passage, what these push against the wanted direction would hold people back
+        back = min(gx * wx + gz * wz, 0.0) / max(wx * wx + wz * wz, 1e-9) if rules[25] > 0.0 else 0.0
+        ax, az = ax + push * (gx - back * wx), az + push * (gz - back * wz)
         span = traits[m, 2]
         # forces become a velocity over the time until the next decision
         wx, wz = vx + ax * span, vz + az * span
@@ -335,7 +337,9 @@ def choose_velocity(
         if len(body) <= j < len(body) + furniture:
             ahead_s, jx, jz = rules[1], 0.0, 0.0
         else:
-            reach += rules[23] if j < len(body) and company[m] >= 0 and company[j] == company[m] else rules[4]
+            own = j < len(body) and company[m] >= 0 and company[j] == company[m]
+            reach += rules[23] if own else rules[4]
+            ahead_s = COMPANY_S if own and rules[25] > 0.0 else ahead_s
             # who gives way is on the way out of the path
             if j < len(body) and firsts[j] == m and not forces:
                 ahead_s = rules[19]
@@ -351,7 +355,7 @@ def choose_velocity(
 
 
 @kernel(error_model="numpy")
-def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt):
+def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt, guards):
     """Move the body of person ``m`` as far as it can follow the chosen velocity, in place.
 
     Args:
@@ -366,6 +370,7 @@ def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
         looks: Place that each person faces while they stand or step (x, z), and 1 if there is one [M, 3].
         limits: `StrideSpec.limits`.
         dt: Duration of a step [s].
+        guards: True if people who step do not turn where this brings their feet to another person.
     """
     accel, decel, turn_rate, turn_accel, gain, _, sidestep, sidestep_rate, _ = limits
     x, z = places[m, 0], places[m, 1]
@@ -402,7 +407,13 @@ def follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
         else:
             nx, nz, v = x, z, 0.0
     # before the distances to others, which depend on where the person looks (`reach_between`)
-    body[m, 0], body[m, 1] = heading, turn
+    was, body[m, 0], body[m, 1] = body[m, 0], heading, turn
+    for j in range(len(places) if guards and v > 0.0 else 0):
+        px, pz = places[j, 0] - x, places[j, 1] - z
+        reach, body[m, 0] = reach_between(m, j, px, pz, radii, body), was
+        if j != m and reach > max(math.hypot(px, pz), reach_between(m, j, px, pz, radii, body)):
+            heading, body[m, 1] = was, 0.0
+        body[m, 0] = heading
     sx, sz = nx - x, nz - z
     for attempt in range(SLIDES):
         free = True
@@ -562,6 +573,9 @@ def step_crowd(
                     sdf, origin, cell, m, company, places, wx, wz, GROUP_S, rules[18] > 1.0, unblocked
                 )
         looks[m, 0], looks[m, 1], looks[m, 2] = stays[m, 0], stays[m, 1], stays[m, 2] - 1.0
+        # who cannot walk turns to where they want to go, as the reach of their feet may be all that blocks them
+        if rules[25] > 0.0 and stays[m, 2] <= 0.0 and math.hypot(wx, wz) > 0.1:
+            looks[m, 0], looks[m, 1], looks[m, 2] = x + wx, z + wz, 1.0
         reaction, nearest, r = TABLE[int(moods[m, 0])], np.inf, -1
         if reaction[0] > 0.0:
             for k in range(len(robots)):
@@ -610,5 +624,5 @@ def step_crowd(
     for m in range(len(counts)):
         if stays[m, 2] == SEATED:
             continue
-        follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt)
+        follow(sdf, origin, cell, m, places, radii, body, chosen, looks, limits, dt, rules[25] > 0.0)
     return False, True

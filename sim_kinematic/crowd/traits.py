@@ -72,17 +72,28 @@ class CrowdSpec:
     """Distance between outlines that avoidance adds between members of one walking group [m]."""
     company_gain: float = 2.1
     """Social force: weight of members of one's own walking group."""
+    frees: bool = False
+    """True if people of `social_force`, some of whom walk in groups, are not held up before passages: walls do not push
+    them back, those who cannot walk turn to where they want to go, nobody turns their feet into others while stepping, and
+    members of a walking group avoid each other for `sim_kinematic.crowd.step.COMPANY_S`."""
 
     @classmethod
-    def of_version(cls, version: int, *, wary: bool = False, early: bool = False) -> CrowdSpec:
+    def of_version(cls, version: int, *, wary: bool = False, early: bool = False, frees: bool = False) -> CrowdSpec:
         """Return the constants for a version of the rules; with ``early``, of those up to version 5.
 
-        With ``wary``, the constants keep the horizons and speeds of version 2, and find narrow places as in version 4.
+        With ``wary``, the constants keep the horizons and speeds of version 2, and find narrow places as in version 4. With
+        ``frees``, passages hold nobody up from version 10 on.
         """
         if wary or version < 3:
             near = 0.0 if version > 7 and not early else cls.company_m
             gain, guard = (0.0, cls.horizon_s) if version > 8 else (cls.company_gain, cls.guard_s)
-            return cls(version=min(version, 4), company_m=near, company_gain=gain, guard_s=guard)
+            return cls(
+                version=min(version, 4),
+                company_m=near,
+                company_gain=gain,
+                guard_s=guard,
+                frees=frees and version > 9 and not early,
+            )
         kept = min(version, 5) if early else version
         quick = cls(horizon_s=1.2, way_horizon_s=0.7, aside_mps=1.0, back_mps=1.1, version=kept)
         sooner = replace(quick, wait_m=1.7, aside_mps=1.3, back_mps=1.3, way_share=0.1) if kept > 4 else quick

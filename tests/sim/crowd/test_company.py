@@ -216,14 +216,18 @@ def test_who_is_stuck_before_somebody_in_a_doorway_backs_out():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("home", "seed"), [(0, 106), (0, 112), (3, 113), (5, 103), (5, 108)])
-def test_walking_groups_get_on_where_they_did_not(home: int, seed: int):
+@pytest.mark.parametrize(
+    ("model", "home", "seed"),
+    [("orca", home, seed) for home, seed in ((0, 106), (0, 112), (3, 113), (5, 103), (5, 108))]
+    + [("social_force", 3, seed) for seed in (106, 112, 115)],
+)
+def test_walking_groups_get_on_where_they_did_not(model: str, home: int, seed: int):
     from benchmarks.people import COMPANY, Walks, describe
     from benchmarks.people import walk as walk_at_home
 
     source = named_scenes(f"h3-homes/val#{home}")[0].source
     scene, free = open_scene(source), open_free_space(source, 0.25, 1.41)
-    partner = ",".join(f"orca+{word}" for word in COMPANY["company"])
+    partner = ",".join(f"{model}+{word}" for word in COMPANY["company"])
     figures = describe([Walks.of(walk_at_home(scene, free, 4, partner, seed, 3600), scene, free)])
     assert figures["gridlocks_per_person_hour"][0] == figures["contacts_per_person_hour"][0] == 0
 
