@@ -30,8 +30,8 @@ mantissas."""
 _MARGIN_BYTES = 256
 _AT_ONCE = 32
 """Number of pixels that are predicted at once."""
-_NONE, _ONE, _TWO, _THREE, _FOUR, _BYTE, _FIFTEEN, _HALF, _LOW, _LOW_HALF, _ROW, _STATES = (
-    np.uintp(k) for k in (0, 1, 2, 3, 4, 8, 15, 16, 0xFF, 0xFFFF, 2 * LANES, _KINDS * _CONTEXTS)
+_NONE, _ONE, _TWO, _THREE, _BYTE, _FIFTEEN, _HALF, _WORD, _LOW, _LOW_HALF, _ROW, _STATES = (
+    np.uintp(k) for k in (0, 1, 2, 3, 8, 15, 16, 32, 0xFF, 0xFFFF, 2 * LANES, _KINDS * _CONTEXTS)
 )
 """Constants as unsigned integers for address arithmetic, because numba converts the sum of a signed and an unsigned
 integer to float."""
@@ -151,7 +151,7 @@ class Ffv1Encoder:
         most = max(33 * pixels, len(self._heads))
         self._buffers = (
             np.empty((LANES, rows + 1, widest + 2 * _AT_ONCE), np.int16),
-            *(np.empty((LANES, pixels), kind) for kind in (np.int16, np.uint16, np.uint32)),
+            *(np.empty((LANES, pixels), kind) for kind in (np.int16, np.uint16, np.uint64)),
             np.empty((LANES, _KINDS, _CONTEXTS), np.uint8),
             np.empty((most, LANES), np.uint16),
             (np.empty((most + LANES, LANES), np.uint32), np.empty(most + LANES, np.uint8)),
@@ -193,7 +193,7 @@ def _code_header(decisions, out):
 @kernel(boundscheck=False)
 def _encode(image, rows, starts, heads, following, buffers, out, sizes):
     """Fill the slices of an image [H, W], ``rows`` at a time, and their sizes; slices without pixels have 0."""
-    lines, differences, classes, lists, probabilities, decisions, traces = buffers
+    lines, differences, classes, entries, probabilities, decisions, traces = buffers
     coders, totals = _coders(), np.zeros(LANES, np.uintp)
     sizes[:] = 0
     lines[:, 0] = 0
@@ -224,7 +224,7 @@ def _encode(image, rows, starts, heads, following, buffers, out, sizes):
                 above_at, done = lines_at + k * line, k * width * _TWO
                 predict_row(above_at, above_at + line, differences_at + done, classes_at + done, width)
         numbers = (end - first) * np.diff(starts)
-        _decide(differences, classes, numbers, lists, probabilities, following, decisions, totals)
+        _decide(differences, classes, numbers, entries, probabilities, following, decisions, totals)
         longest = totals.max()
         for lane in range(LANES):
             for k in range(totals[lane], longest):
@@ -241,7 +241,7 @@ def _at(array, k, size):
 
 
 @kernel_part(boundscheck=False)
-def _decide(differences, classes, numbers, lists, probabilities, following, decisions, totals):
+def _decide(differences, classes, numbers, entries, probabilities, following, decisions, totals):
     """Fill the decisions [N, 8] about ``numbers`` [8] pixels of each lane, and their number ``totals`` [8].
 
     First whether each difference is 0. Those that are not are listed, and so on: of the decisions that follow, each is
@@ -251,7 +251,7 @@ def _decide(differences, classes, numbers, lists, probabilities, following, deci
     places = (
         _at(differences, 0, 2),
         _at(classes, 0, 2),
-        _at(lists, 0, 4),
+        _at(entries, 0, 8),
         _at(probabilities, 0, 1),
         _at(following, 0, 1),
         _at(decisions, 0, 2),
@@ -259,70 +259,59 @@ def _decide(differences, classes, numbers, lists, probabilities, following, deci
     )
     for first in range(0, LANES, 4):
         a, b, c, d = np.uintp(first), np.uintp(first + 1), np.uintp(first + 2), np.uintp(first + 3)
-        at_a = at_b = at_c = at_d = in_a = in_b = in_c = in_d = _NONE
+        at_a = at_b = at_c = at_d = listed = _NONE
         # four lanes side by side: a probability that is needed again at once is late
         common = numbers[first : first + 4].min()
         for k in range(common):
-            at_a, in_a = _is_zero(k, a, at_a, in_a, places)
-            at_b, in_b = _is_zero(k, b, at_b, in_b, places)
-            at_c, in_c = _is_zero(k, c, at_c, in_c, places)
-            at_d, in_d = _is_zero(k, d, at_d, in_d, places)
-        totals[first] = _decide_rest(common, numbers[first], a, at_a, in_a, places)
-        totals[first + 1] = _decide_rest(common, numbers[first + 1], b, at_b, in_b, places)
-        totals[first + 2] = _decide_rest(common, numbers[first + 2], c, at_c, in_c, places)
-        totals[first + 3] = _decide_rest(common, numbers[first + 3], d, at_d, in_d, places)
+            at_a, listed = _is_zero(k, a, at_a, listed, places)
+            at_b, listed = _is_zero(k, b, at_b, listed, places)
+            at_c, listed = _is_zero(k, c, at_c, listed, places)
+            at_d, listed = _is_zero(k, d, at_d, listed, places)
+        totals[first], totals[first + 1], totals[first + 2], totals[first + 3] = at_a, at_b, at_c, at_d
+        for lane in range(first, first + 4):
+            for k in range(common, numbers[lane]):
+                totals[lane], listed = _is_zero(k, np.uintp(lane), totals[lane], listed, places)
+        _decide_rest(listed, places)
 
 
 @kernel_part(forceinline=True)
 def _is_zero(k, lane, at, listed, places):
     """Decide whether difference ``k`` is 0; return the number of decisions up to the next one, and of those listed."""
-    _, classes_at, lists_at, probabilities_at, next_at, decisions_at, stride = places
-    entry = read_half(classes_at + (lane * stride + np.uintp(k)) * _TWO)
+    _, classes_at, list_at, probabilities_at, next_at, decisions_at, stride = places
+    place = lane * stride + np.uintp(k)
+    entry = read_half(classes_at + place * _TWO)
     zero = np.uintp((entry >> _BYTE) == _ONE)
     probability_at = probabilities_at + lane * _STATES + (entry & _LOW)
     decide(zero, probability_at, next_at, decisions_at + at * _ROW + lane * _TWO)
-    write_word(np.uintp(k) | at << _HALF, lists_at + (lane * stride + listed) * _FOUR)
+    write_long(place | lane << _HALF | at << _WORD, list_at + listed * _BYTE)
     return at + (entry >> _BYTE), listed + _ONE - zero
 
 
 @kernel_part()
-def _decide_rest(first, number, lane, at, listed, places):
-    """Decide what is left about a lane, whose differences are known to be 0 or not up to the ``first``."""
-    differences_at, classes_at, lists_at, probabilities_at, next_at, decisions_at, stride = places
-    for k in range(first, number):
-        at, listed = _is_zero(k, lane, at, listed, places)
-    differences_at += lane * stride * _TWO
-    classes_at += lane * stride * _TWO
-    lists_at += lane * stride * _FOUR
-    probabilities_at += lane * _STATES
-    decisions_at += lane * _TWO
+def _decide_rest(listed, places):
+    """Decide what is left about the differences that are listed, those of four lanes in turn."""
+    _, _, list_at, _, next_at, _, _ = places
     larger = _NONE
     for j in range(listed):
-        entry, exponent, state_at, here_at, sign = _listed(
-            j, lists_at, classes_at, differences_at, probabilities_at, decisions_at
-        )
+        entry, exponent, state_at, here_at, sign = _listed(j, places)
         decide(np.uintp(exponent > _NONE), state_at + np.uintp(_EXPONENT * _CONTEXTS), next_at, here_at + _ROW)
         sign_at = state_at + (np.uintp(_SIGN) + min(exponent, np.uintp(10))) * np.uintp(_CONTEXTS)
         decide(sign >> _FIFTEEN, sign_at, next_at, here_at + (exponent + _ONE) * _TWO * _ROW)
-        write_word(entry, lists_at + larger * _FOUR)
+        write_long(entry, list_at + larger * _BYTE)
         larger += np.uintp(exponent > _NONE)
     largest = _NONE
     for j in range(larger):
-        entry, exponent, state_at, here_at, size = _listed(
-            j, lists_at, classes_at, differences_at, probabilities_at, decisions_at
-        )
+        entry, exponent, state_at, here_at, size = _listed(j, places)
         decide(
             np.uintp(exponent > _ONE), state_at + np.uintp((_EXPONENT + 1) * _CONTEXTS), next_at, here_at + _TWO * _ROW
         )
         decide(
             size & _ONE, state_at + np.uintp(_MANTISSA * _CONTEXTS), next_at, here_at + (exponent * _TWO + _ONE) * _ROW
         )
-        write_word(entry, lists_at + largest * _FOUR)
+        write_long(entry, list_at + largest * _BYTE)
         largest += np.uintp(exponent > _ONE)
     for j in range(largest):
-        _, exponent, state_at, here_at, size = _listed(
-            j, lists_at, classes_at, differences_at, probabilities_at, decisions_at
-        )
+        _, exponent, state_at, here_at, size = _listed(j, places)
         size = min(size, np.uintp(65536) - size)
         for e in range(_TWO, exponent + _ONE):
             kind_at = state_at + (np.uintp(_EXPONENT) + min(e, np.uintp(9))) * np.uintp(_CONTEXTS)
@@ -331,22 +320,21 @@ def _decide_rest(first, number, lane, at, listed, places):
             e = exponent - k
             kind_at = state_at + (np.uintp(_MANTISSA) + min(e, np.uintp(9))) * np.uintp(_CONTEXTS)
             decide(size >> e & _ONE, kind_at, next_at, here_at + (exponent + _ONE + k) * _ROW)
-    return at
 
 
 @kernel_part(forceinline=True)
-def _listed(j, lists_at, classes_at, differences_at, probabilities_at, decisions_at):
-    """Return the entry ``j`` of a list, its exponent, the places of its probabilities and decisions, and its 16 bits."""
-    entry = read_word(lists_at + np.uintp(j) * _FOUR)
-    k = (entry & _LOW_HALF) * _TWO
-    what = read_half(classes_at + k)
-    exponent = (what >> np.uintp(9)) - _ONE
+def _listed(j, places):
+    """Return the entry ``j`` of the list, its exponent, the places of its probabilities and decisions, and its 16 bits."""
+    differences_at, classes_at, list_at, probabilities_at, _, decisions_at, _ = places
+    entry = read_long(list_at + np.uintp(j) * _BYTE)
+    place, lane = (entry & _LOW_HALF) * _TWO, entry >> _HALF & _LOW_HALF
+    what = read_half(classes_at + place)
     return (
         entry,
-        exponent,
-        probabilities_at + (what & _LOW),
-        decisions_at + (entry >> _HALF) * _ROW,
-        read_half(differences_at + k),
+        (what >> np.uintp(9)) - _ONE,
+        probabilities_at + lane * _STATES + (what & _LOW),
+        decisions_at + (entry >> _WORD) * _ROW + lane * _TWO,
+        read_half(differences_at + place),
     )
 
 
@@ -423,7 +411,7 @@ def _memory(bits: int) -> tuple[Any, Any]:
 
 read_byte, write_byte = _memory(8)
 read_half, write_half = _memory(16)
-read_word, write_word = _memory(32)
+read_long, write_long = _memory(64)
 
 
 @intrinsic
@@ -437,18 +425,6 @@ def copy(typing_context, source_at, target_at, size):
 
     p = types.uintp
     return types.void(p, p, p), codegen
-
-
-@intrinsic
-def read_long(typing_context, at):
-    """Return the 64-bit integer at a memory address."""
-
-    def codegen(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
-        value = b.load(b.inttoptr(arguments[0], INT64.as_pointer()))
-        value.align = 1
-        return value
-
-    return types.uintp(types.uintp), codegen
 
 
 @intrinsic
