@@ -16,7 +16,6 @@ from h3data.errors import InputError
 from h3data.geometry import normalized
 from h3data.kernels import kernel, kernel_part
 from h3data.render.raster.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
-from h3data.render.raster.raster_simd import count_trailing_zeros
 from h3data.render.shade.blockers import (
     NO_BLOCKERS,
     TILE_X,
@@ -50,7 +49,6 @@ from h3data.render.shade.shading_simd import (
     gloss_block,
     light_block,
     light_coordinates_block,
-    mixed_pixels,
     sky_block,
     texture_block,
     write_colors,
@@ -432,46 +430,38 @@ def _dim_waiting(cast, tile, rays, behind, waiting, scratch, places, count, stri
 
 @kernel_part()
 def _fine_row_words(geometry, surface, target, patches, y, row, first, last):
-    """Fill the words of an image row [W] from ``first``, a multiple of 8, to ``last``; up to 7 words more are filled.
+    """Fill the words of an image row [W] from ``first`` to ``last``.
 
     A word is that of one of the four samples if they show one surface, else `_MIXED`.
     """
     words, inv_z = target.words, target.inv_z
-    row_bytes, row_at = np.uintp(words.shape[1] * 4), np.uintp(row.ctypes.data)
-    words_at = np.uintp(words.ctypes.data) + np.uintp(2 * y) * row_bytes
-    for begin in range(first, last, 8):
-        at = np.uintp(begin * 4)
-        left = mixed_pixels(words_at + at + at, row_bytes, row_at + at)
-        while left:
-            x = begin + count_trailing_zeros(left)
-            left &= left - 1
-            word, right, lower, both = (
-                words[2 * y, 2 * x],
-                words[2 * y, 2 * x + 1],
-                words[2 * y + 1, 2 * x],
-                words[2 * y + 1, 2 * x + 1],
+    for x in range(first, last):
+        word = words[2 * y, 2 * x]
+        row[x] = word
+        right, lower, both = words[2 * y, 2 * x + 1], words[2 * y + 1, 2 * x], words[2 * y + 1, 2 * x + 1]
+        if word == right and word == lower and word == both:
+            continue
+        row[x] = _MIXED
+        # the background has no triangle whose patch could be compared
+        if word < 0 or right < 0 or lower < 0 or both < 0:
+            continue
+        near, other, third, fourth = (
+            inv_z[2 * y, 2 * x],
+            inv_z[2 * y, 2 * x + 1],
+            inv_z[2 * y + 1, 2 * x],
+            inv_z[2 * y + 1, 2 * x + 1],
+        )
+        nearest, farthest = max(max(near, other), max(third, fourth)), min(min(near, other), min(third, fourth))
+        if nearest - farthest > _SMOOTH_DEPTH * nearest:
+            continue
+        instance, patch = target.draws[word >> 7, INSTANCE], _patch_of(geometry, surface, target, patches, word)
+        smooth = True
+        for more in (right, lower, both):
+            smooth &= (target.draws[more >> 7, INSTANCE] == instance) & (
+                _patch_of(geometry, surface, target, patches, more) == patch
             )
-            row[x] = _MIXED
-            # the background has no triangle whose patch could be compared
-            if word < 0 or right < 0 or lower < 0 or both < 0:
-                continue
-            near, other, third, fourth = (
-                inv_z[2 * y, 2 * x],
-                inv_z[2 * y, 2 * x + 1],
-                inv_z[2 * y + 1, 2 * x],
-                inv_z[2 * y + 1, 2 * x + 1],
-            )
-            nearest, farthest = max(max(near, other), max(third, fourth)), min(min(near, other), min(third, fourth))
-            if nearest - farthest > _SMOOTH_DEPTH * nearest:
-                continue
-            instance, patch = target.draws[word >> 7, INSTANCE], _patch_of(geometry, surface, target, patches, word)
-            smooth = True
-            for more in (right, lower, both):
-                smooth &= (target.draws[more >> 7, INSTANCE] == instance) & (
-                    _patch_of(geometry, surface, target, patches, more) == patch
-                )
-            if smooth:
-                row[x] = word
+        if smooth:
+            row[x] = word
 
 
 @kernel_part(forceinline=True)

@@ -276,24 +276,6 @@ def equal_words(typing_context, address, word):
 
 
 @intrinsic
-def mixed_pixels(typing_context, words_at, row_bytes, out_at):
-    """Store the first int32 number of each of 8 pixels of 2x2 numbers; return bits of the pixels with different numbers."""
-
-    def codegen(context, b, signature, arguments):
-        words_at, row_bytes, out_at = arguments
-        samples = [
-            pick(b, load(b, at, 0, INT8), load(b, at, 4 * LANES, INT8), range(first, 2 * LANES, 2))
-            for at in (words_at, b.add(words_at, row_bytes))
-            for first in (0, 1)
-        ]
-        store(b, samples[0], out_at)
-        differ = [b.icmp_signed("!=", samples[0], other) for other in samples[1:]]
-        return b.zext(b.bitcast(b.or_(differ[0], b.or_(differ[1], differ[2])), ir.IntType(LANES)), INT)
-
-    return types.int32(*[types.uintp] * 3), codegen
-
-
-@intrinsic
 def even_nearness(typing_context, inv_z_at, words_at, word, instead, out_at):
     """Store every second of 16 float32 numbers, or ``instead`` where the int32 number at ``words_at`` is ``word``."""
 
