@@ -550,6 +550,8 @@ async function acts() {
   await player.drawn(3);
   const [hint, help] = [await text("hint"), await text("keys")];
   await player.page.setViewportSize({ width: 1280, height: 720 });
+  await player.idle();
+  await player.drawn(4);
   await player.press("1");
   await busy(true);
   await player.nap(1200);
