@@ -69,7 +69,8 @@ class RenderScene:
             mirrors: glossy meshes, and the light that their vertices mirror from -x, +x, +y, -z and +z, each [V, 5]
                 (`h3data_light.bake.LitScene.mirrors`).
         """
-        self.meshes, self.instances = tuple(meshes), tuple(instances)
+        self.meshes = tuple(meshes)
+        self.instances = tuple(instances)
         self.deformable = tuple(sorted({int(m) for m in deformable}))
         self.mirrors = dict(mirrors or {})
         _check(self.meshes, self.instances, self.deformable, self.mirrors)

@@ -62,7 +62,8 @@ def shadow_casters(
 
     ``agents`` holds the agent of every moving instance, or -1 for objects.
     """
-    members, local = np.full(len(instances), -1, np.int64), np.full((len(instances), 7), np.nan)
+    members = np.full(len(instances), -1, np.int64)
+    local = np.full((len(instances), 7), np.nan)
     first_thing = max(agents.values(), default=-1) + 1
     for instance, agent in sorted(agents.items()):
         # a group does not darken itself: all parts of an agent are one, each thing is its own

@@ -145,7 +145,8 @@ def closed_area(free: FreeSpace, xz: Array) -> float:
     discs = [(*place, PASSING_M) for place in xz] + [(*centre, float(np.hypot(*(xz - centre).T).max()))]
     for px, pz, radius in discs:
         left &= (x[:, None] - px) ** 2 + (z[None] - pz) ** 2 >= radius**2
-    (islands, _), (pieces, count) = label(open_floor), label(left)
+    islands, _ = label(open_floor)
+    pieces, count = label(left)
     if not count:
         return float(open_floor.sum()) * free.cell_m**2
     # parts that nobody could reach before are not cut off by these people

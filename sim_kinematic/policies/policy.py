@@ -26,7 +26,8 @@ class Velocity(NamedTuple):
     turn: float
     """Turn rate as a share of the limit, -1..1, positive to the left."""
     skill: str = ""
-    """For a person, a gesture (`h3data.bodies.people.gestures.GESTURES`), which begins and ends with this word."""
+    """For a person, a gesture (`h3data.bodies.people.gestures.GESTURES`) or a captured motion of the body, which begins and
+    ends with this word."""
 
 
 class WaypointAction(NamedTuple):

@@ -11,8 +11,6 @@ import pytest
 from examples.dance import write_bvh
 from h3data.bodies import JOINT_INDEX
 from h3data.errors import InputError
-from h3data.recording import Recording
-from h3data.replay.posed_recording import PosedRecording
 from h3data_play.assets import manifest
 from h3data_play.drivers import SETTLE_STEPS
 from h3data_play.plan import GameOrder
@@ -20,7 +18,7 @@ from h3data_play.wire import BUSY
 from sim_kinematic.agents.skills import sentence
 from sim_kinematic.tasks import resume
 from tests.play.test_live import Player, table
-from tests.play.test_sitting import finished
+from tests.play.test_sitting import finished, posed, watched
 
 Played = resume.Played
 
@@ -51,25 +49,6 @@ def walked_to_room(player: Player) -> None:
     player.send(k="goto", p=[x, 0.0, z])
     player.until_free()
     player.play(20)
-
-
-def watched(player: Player) -> list[np.ndarray]:
-    """World frames of the joints that the page shows in each step, which fill up while steps are played."""
-    packer, shown = player.game.packer, list[np.ndarray]()
-    pose = packer._pose
-
-    def noted(k: int, body: Any, base: np.ndarray, columns: Any) -> tuple[np.ndarray, np.ndarray]:
-        pelvis, quats = pose(k, body, base, columns)
-        if k == player.number:
-            shown.append(body.joint_matrices_free(pelvis[None], quats[None])[0])
-        return pelvis, quats
-
-    packer._pose = noted  # type: ignore[method-assign]
-    return shown
-
-
-def posed(recording: Recording, number: int) -> np.ndarray:
-    return PosedRecording(recording).joint_matrices(number, np.arange(len(recording)))
 
 
 @pytest.mark.parametrize("app", ["social_nav", "rearrange"])

@@ -59,6 +59,25 @@ def played_until(player: Player, wanted: float, most: int = 600) -> None:
         assert most, player.said
 
 
+def watched(player: Player) -> list[np.ndarray]:
+    """World frames of the joints that the page shows in each step, which fill up while steps are played."""
+    packer, shown = player.game.packer, list[np.ndarray]()
+    pose = packer._pose
+
+    def noted(k: int, body: Any, base: np.ndarray, columns: Any) -> tuple[np.ndarray, np.ndarray]:
+        pelvis, quats = pose(k, body, base, columns)
+        if k == player.number:
+            shown.append(body.joint_matrices_free(pelvis[None], quats[None])[0])
+        return pelvis, quats
+
+    packer._pose = noted  # type: ignore[method-assign]
+    return shown
+
+
+def posed(recording: Recording, number: int) -> np.ndarray:
+    return PosedRecording(recording).joint_matrices(number, np.arange(len(recording)))
+
+
 def finished(player: Player, out: Path) -> Recording:
     """The recording, which is valid and verifies."""
     player.game.close()
@@ -97,8 +116,7 @@ def test_a_player_sits_and_gets_up_by_the_same_key(tmp_path: Path, app: str, lie
     assert 0.3 < seats[:, 0].max() < 0.7
     assert np.hypot(*np.diff(base[:, [0, 2]], axis=0).T).max() < 0.05
     assert (base[1:, 3:] * base[:-1, 3:]).sum(1).min() > 0.99
-    posed = PosedRecording(recording)
-    hips = posed.joint_matrices(player.number, np.arange(len(recording)))[:, 0, 1, 3]
+    hips = posed(recording, player.number)[:, 0, 1, 3]
     assert hips.min() < 0.75 < 0.8 < hips[-1]
 
 
@@ -133,16 +151,7 @@ def test_reasons_are_sentences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize("app", ["social_nav", "crowd"])
 def test_gestures_are_shown_as_they_are_recorded(tmp_path: Path, app: str) -> None:
     player = Player(begun(tmp_path, app=app, scenes="small:1"))
-    driver, packer, shown = driver_of(player), player.game.packer, list[np.ndarray]()
-    pose = packer._pose
-
-    def noted(k: int, body: Any, base: np.ndarray, columns: Any) -> tuple[np.ndarray, np.ndarray]:
-        pelvis, quats = pose(k, body, base, columns)
-        if k == player.number:
-            shown.append(body.joint_matrices_free(pelvis[None], quats[None])[0])
-        return pelvis, quats
-
-    packer._pose = noted  # type: ignore[method-assign]
+    driver, shown = driver_of(player), watched(player)
     player.play()
     assert driver.offers & GESTURES
     player.send(k="gesture", name="wave")
@@ -160,14 +169,14 @@ def test_gestures_are_shown_as_they_are_recorded(tmp_path: Path, app: str) -> No
     recording = finished(player, tmp_path)
     told = [event.target for event in recording.events if event.kind == "activity" and event.agent == player.number]
     assert told == ["wave", "stand", "phone", "stand", "wave", "phone"]
-    posed = PosedRecording(recording).joint_matrices(player.number, np.arange(len(recording)))
-    hand = posed[:, JOINT_INDEX["right_wrist"], 1, 3]
+    frames = posed(recording, player.number)
+    hand = frames[:, JOINT_INDEX["right_wrist"], 1, 3]
     assert hand[30:60].min() > hand[0] + 0.4
     assert hand[160:165].min() > hand[0] + 0.15
     assert abs(hand[125] - hand[0]) < 0.05
     # from one gesture straight into another the replay lowers the hand first, which nobody could know live
     steps = [k for k in range(len(recording)) if not 251 <= k < 265]
-    assert np.abs(np.stack(shown)[steps] - posed[steps])[:, :, :3, 3].max() < 0.002
+    assert np.abs(np.stack(shown)[steps] - frames[steps])[:, :, :3, 3].max() < 0.002
 
 
 def test_who_sits_gets_up_before_a_gesture(tmp_path: Path) -> None:

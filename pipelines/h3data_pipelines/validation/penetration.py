@@ -273,7 +273,7 @@ class _Scenery:
     def __init__(self, replay: Replay, *, moved: bool) -> None:
         scene, recording = replay.scene, replay.recording
         assert scene is not None
-        self._all, self._steps = FclScene(scene), len(recording)
+        self._all = FclScene(scene)
         joints, positions = joints_of(scene), recording.columns.get(JOINTS, np.zeros((1, len(joints_of(scene)))))
         turned = np.flatnonzero((positions != joints.rest.astype(positions.dtype)).any(0)) if len(joints) else []
         doors = [each for each in scene.static_instances if joints.owner.get(each.name, -1) in turned]
@@ -289,19 +289,13 @@ class _Scenery:
         ]
         self._moved: list[_Moved] = []
         """Things that move."""
-        if not moved:
-            return
-        self._moved = [
-            *(self._door(replay, door, scene.assets[door.asset].shapes, joints.owner[door.name]) for door in doors),
-            *(_Moved.carried(recording, body) for body in _brought(recording)),
-        ]
-
-    @staticmethod
-    def _door(replay: Replay, door: Instance, shapes: Sequence[Shape], joint: int) -> _Moved:
-        turns = replay.joint_motions(np.arange(len(replay.recording)))[:, joint]
-        frames, scale = turns @ pose_to_matrix(np.asarray(door.pose, np.float64)), tuple(door.scale.tolist())
-        # where it is as the home has it, a door is a part of the home
-        return _Moved(door.name, "door", shapes, frames, scale, (turns != np.eye(4)).any((1, 2)))
+        if moved and doors:
+            turns = replay.joint_motions(np.arange(len(recording)))
+            self._moved += [
+                _Moved.door(door, scene.assets[door.asset].shapes, turns[:, joints.owner[door.name]]) for door in doors
+            ]
+        if moved:
+            self._moved += [_Moved.carried(recording, body) for body in _brought(recording)]
 
     def kinds(self, thing: NDArray[np.object_], steps: NDArray[np.intp]) -> NDArray[np.object_]:
         """Return the kinds [T, P] of things, given their names [T, P] at steps [T]."""
@@ -319,8 +313,10 @@ class _Scenery:
         others = [moved for moved in self._moved if not moved.name.startswith(f"{agent}_")]
         for t, (step, pose) in enumerate(zip(steps.tolist(), frames, strict=True)):
             moving.set_transforms(pose)
-            low, high = _bounds_of(shapes, pose)
-            near = [moved for moved in others if moved.is_near(step, low, high)]
+            near: list[_Moved] = []
+            if others:
+                low, high = _bounds_of(shapes, pose)
+                near = [moved for moved in others if moved.is_near(step, low, high)]
             for names, there, bounds in [
                 (self._scene.names, self._scene, self._bounds),
                 *((moved.names, moved.at(step), moved.bounds(step)) for moved in near),
@@ -361,6 +357,12 @@ class _Moved:
         self.name, self.kind, self.names = name, kind, [name] * len(shapes)
         self._shapes, self._frames, self._moving = tuple(shapes), frames, MovingShapes(shapes, scale)
         self._scale, self.away = np.diag([*scale, 1.0]), away
+
+    @classmethod
+    def door(cls, door: Instance, shapes: Sequence[Shape], turns: Array) -> _Moved:
+        """Return a door or drawer that moves by ``turns`` [T, 4, 4]; where these are the identity, it is a part of the home."""
+        frames = turns @ pose_to_matrix(np.asarray(door.pose, np.float64))
+        return cls(door.name, "door", shapes, frames, tuple(door.scale.tolist()), (turns != np.eye(4)).any((1, 2)))
 
     @classmethod
     def carried(cls, recording: Recording, body: Body) -> _Moved:

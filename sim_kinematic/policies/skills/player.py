@@ -59,7 +59,8 @@ class SkillContext:
 
     def __init__(self, view: SkillView) -> None:
         self._view, self.arm, self.target, self.resting = view, view.arm, view.point, view.resting
-        self.now, self.before = Pose(view.xz, np.asarray(view.heading)), Pose(*view.before)
+        self.now = Pose(view.xz, np.asarray(view.heading))
+        self.before = Pose(*view.before)
         # one object that the agent or nobody holds: `is_holding` asks no more
         self.held_by = np.array([ROBOT if view.holds else NOBODY])
 

@@ -146,7 +146,8 @@ class SocialNavReward:
         self.followed = np.zeros(worlds, np.int64)
         """Number of steps in which the person was followed, not necessarily in a row, shape [W]."""
         self._distance = np.full(worlds, np.nan)
-        self._collisions, self._found = np.zeros(worlds, np.int64), np.zeros(worlds, np.bool_)
+        self._collisions = np.zeros(worlds, np.int64)
+        self._found = np.zeros(worlds, np.bool_)
         self._cells: list[set[tuple[int, int]]] = [set() for _ in range(worlds)]
 
     def reset(self, seen: Encounter, *, where: ArrayLike = True) -> RewardStep:

@@ -87,7 +87,8 @@ def vertex_colors(
     """
     colors = slots[patch.slots]
     if patch.paint.shape[1]:
-        skin, hair = (np.array(color, np.float32) for color in (complexion.skin, complexion.hair))
+        skin = np.array(complexion.skin, np.float32)
+        hair = np.array(complexion.hair, np.float32)
         dark = skin * _triple(0.56, 0.50, 0.48)
         paints = {
             "lips": (skin * _triple(0.84, 0.56, 0.55) + _triple(6, 0, 2), complexion.lips),
